@@ -1,0 +1,1 @@
+"""Object meshes in, annotated planar-grasp datasets out."""

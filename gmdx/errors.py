@@ -1,0 +1,49 @@
+"""The errors that gmdx raises: each says what was wrong, where, and what to do."""
+
+
+class GmdxError(Exception):
+    """Base of every error that gmdx raises on purpose."""
+
+
+class UsageError(GmdxError):
+    """The caller asked for something that does not exist or does not fit together."""
+
+
+class ConfigError(UsageError):
+    """A configuration file or value is not valid."""
+
+
+class CatalogError(UsageError):
+    """An object specification names nothing that can be read."""
+
+
+class MeshError(GmdxError):
+    """A mesh could not be read, or could not be made into a closed surface."""
+
+
+class DecompositionError(GmdxError):
+    """A mesh could not be approximated by convex hulls."""
+
+
+class GripperError(GmdxError):
+    """A gripper's description or its MJCF model is not usable."""
+
+
+class SceneError(GmdxError):
+    """An object did not come to rest on the table."""
+
+
+class GraspError(GmdxError):
+    """No grasp could be sampled, or a batch of grasps is malformed."""
+
+
+class TrialError(GmdxError):
+    """A batch of trials could not be run."""
+
+
+class MetricError(GmdxError):
+    """A metric was given values that it is not defined for."""
+
+
+class DatasetError(GmdxError):
+    """A dataset on disk could not be written, continued or read."""

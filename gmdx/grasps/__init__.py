@@ -1,0 +1,1 @@
+"""Planar grasps and their analytical contacts."""

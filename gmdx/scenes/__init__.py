@@ -1,0 +1,1 @@
+"""Grippers, models, objects at rest, depth images."""

@@ -1,0 +1,1 @@
+"""Simulated executions of grasps."""

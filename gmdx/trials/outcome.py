@@ -1,0 +1,19 @@
+"""How a trial ended."""
+
+from enum import IntEnum
+
+
+class Outcome(IntEnum):
+    """The named end of one trial; every trial has exactly one."""
+
+    SUCCESS = 0  # lifted and held between both pads
+    NO_CONTACT = 1  # the pads closed without ever holding the object between them
+    LOST_IN_LIFT = 2  # held at the end of closing, not at the end of the hold
+    KNOCKED_AWAY = 3  # touched, but pushed out from between the pads while they closed
+    COLLISION_IN_APPROACH = 4  # the gripper hit the object or the table on its way down
+    DIVERGED = 5  # the simulation failed; says nothing about the grasp
+
+    @property
+    def label(self) -> str:
+        """The name in datasets and tables: lower case, with underscores."""
+        return self.name.lower()

@@ -1,0 +1,42 @@
+"""What a backend returns for a batch of grasps."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.grasps.grasp import PadContacts
+
+
+class Snapshot(IntEnum):
+    """When the nominal trial's poses are recorded: index into the snapshot axis."""
+
+    START = 0  # the object at rest, the gripper above it
+    CLOSING = 1  # end of approach, start of closing
+    CLOSED = 2  # end of closing, start of lift
+    HELD = 3  # end of the hold
+
+
+@dataclass(frozen=True)
+class TrialResults:
+    """Results of n grasps with t trials each; trial 0 is the nominal one.
+
+    What the nominal trial did not reach is NaN (poses, opening, force) or invalid
+    (contacts). Poses are of the object's frame in the world of the scene.
+    """
+
+    outcome: Int[Array, "n t"]  # values of `Outcome`
+    collision: Bool[Array, "n t"]  # something other than a pad's face touched before closing
+    object_position: Float[Array, "n 4 3"]  # m, nominal trial, by Snapshot
+    object_quaternion: Float[Array, "n 4 4"]  # wxyz, nominal trial, by Snapshot
+    tool_position: Float[Array, "n 4 3"]  # m, nominal trial, by Snapshot
+    contacts: PadContacts  # nominal trial, in the object's frame, at CLOSED
+    opening: Float[Array, "n"]  # m, between the pads at CLOSED, from the joints
+    push_force: Float[Array, "n"]  # N, external force that pushed the object out; 0 if not lifted
+    push_force_is_lower_bound: Bool[Array, "n"]  # the ramp ended before the object came out
+    backend: str  # which engine ran, with its version
+    steps: int  # physics steps over all trials
+    step_seconds: float  # s, inside the engine's step
+    seconds: float  # s, in all
+
+    def __len__(self) -> int:
+        return len(self.outcome)

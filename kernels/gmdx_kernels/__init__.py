@@ -1,0 +1,1 @@
+"""Batched array kernels: pure arrays in and out, importing nothing from gmdx."""
