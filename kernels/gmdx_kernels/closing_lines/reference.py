@@ -1,0 +1,131 @@
+"""Intersection-line analysis in NumPy: the definition that faster kernels are checked against."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+if TYPE_CHECKING:
+    Array = np.ndarray[Any, np.dtype[Any]]
+else:
+    Array = np.ndarray
+
+_SAME_CROSSING = 1e-9  # m, crossings closer than this are one: a line through a silhouette edge
+
+
+@dataclass(frozen=True)
+class FirstTouch:
+    """First touches of l lines a grasp; finger 0 comes from the axis' negative side."""
+
+    distance: Float[Array, "n 2 l"]  # m along the axis from the centre; NaN where none
+    triangle: Int[Array, "n 2 l"]  # index of the touched triangle; -1 where none
+
+
+def pad_grid(pad_size: Float[Array, "2"], grid: tuple[int, int]) -> Float[Array, "l 2"]:
+    """Where lines cross a pad's face: centres of grid[0] x grid[1] equal cells.
+
+    Args:
+        pad_size: Extents of the face, m: across, and along the approach.
+        grid: Lines in either direction; an odd number puts one through the centre.
+
+    Returns:
+        Offsets from the face's centre, m: across, and along `up`.
+    """
+    across, along = (
+        ((np.arange(count) + 0.5) / count - 0.5) * size
+        for count, size in zip(grid, pad_size, strict=True)
+    )
+    return np.stack([np.repeat(across, grid[1]), np.tile(along, grid[0])], axis=1)
+
+
+def closing_lines(
+    vertices: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    center: Float[Array, "n 3"],
+    axis: Float[Array, "n 3"],
+    up: Float[Array, "n 3"],
+    width: Float[Array, "n"],
+    *,
+    offsets: Float[Array, "l 2"],
+) -> FirstTouch:
+    """First touches of a closed surface along lines parallel to each grasp's closing axis.
+
+    A touch is where a line, coming from its finger, enters the solid between the two
+    fingers (within `width` / 2 of the centre). A line whose finger stands inside the solid
+    leaves it before it enters it, and touches nothing from that side. Lines through edges
+    and vertices do not leak: each triangle decides by edge functions that its neighbour
+    evaluates with exactly the opposite sign (Woop, Benthin and Wald 2013).
+
+    Args:
+        vertices: Corners of the surface, m, in the frame of the grasps.
+        faces: Triangles, counter-clockwise seen from outside.
+        center: Midway between the fingers, m.
+        axis: Unit closing axes, from finger 0 to finger 1.
+        up: Unit vectors perpendicular to `axis`, out of the pads along the fingers.
+        width: Opening between the fingers, m.
+        offsets: Each line's offset from the centre, m: across (up x axis), and along `up`.
+    """
+    n, lines = len(center), len(offsets)
+    distance = np.full((n, 2, lines), np.nan)
+    triangle = np.full((n, 2, lines), -1)
+    low, high = offsets.min(axis=0), offsets.max(axis=0)
+    for i in range(n):
+        # Columns: along the axis, across, up.
+        frame = np.stack([axis[i], np.cross(up[i], axis[i]), up[i]], axis=1)
+        local = (vertices - center[i]) @ frame
+        near = _reaching(local, faces, width[i] / 2, low, high)
+        if len(near):
+            corners = local[faces[near]]
+            distance[i], which = _touches(corners, offsets, width[i] / 2)
+            triangle[i] = np.where(which >= 0, near[which], -1)
+    return FirstTouch(distance, triangle)
+
+
+def _reaching(
+    local: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    half: float,
+    low: Float[Array, "2"],
+    high: Float[Array, "2"],
+) -> Int[Array, "m"]:
+    """Triangles whose bounding box meets the box that the lines span."""
+    # Six bits a vertex, one a side of the box: a triangle wholly beyond one side keeps that bit.
+    lower = np.array([-half, low[0], low[1]])
+    upper = np.array([half, high[0], high[1]])
+    beyond = (local < lower) @ np.array([1, 2, 4]) + (local > upper) @ np.array([8, 16, 32])
+    beyond = beyond.astype(np.uint8)
+    outside = beyond[faces[:, 0]] & beyond[faces[:, 1]] & beyond[faces[:, 2]]
+    return np.flatnonzero(outside == 0)
+
+
+def _touches(
+    corners: Float[Array, "m 3 3"], offsets: Float[Array, "l 2"], half: float
+) -> tuple[Float[Array, "2 l"], Int[Array, "2 l"]]:
+    """Distances along the axis and indices among the m triangles of both fingers' touches."""
+    y = corners[:, :, 1, None] - offsets[:, 0]  # m 3 l
+    z = corners[:, :, 2, None] - offsets[:, 1]
+    # Edge functions of the edges opposite to corners 0, 1, 2: their sum is twice the area.
+    a = y[:, 1] * z[:, 2] - z[:, 1] * y[:, 2]
+    b = y[:, 2] * z[:, 0] - z[:, 2] * y[:, 0]
+    c = y[:, 0] * z[:, 1] - z[:, 0] * y[:, 1]
+    area = a + b + c
+    facing = (a >= 0) & (b >= 0) & (c >= 0) & (area > 0)  # outward normal along +axis
+    backing = (a <= 0) & (b <= 0) & (c <= 0) & (area < 0)
+    x = corners[:, :, 0, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (a * x[:, 0] + b * x[:, 1] + c * x[:, 2]) / area
+    between = np.abs(along) <= half
+    distance = np.full((2, len(offsets)), np.nan)
+    which = np.full((2, len(offsets)), -1)
+    for finger, (sign, enters, leaves) in enumerate(
+        [(1.0, backing, facing), (-1.0, facing, backing)]
+    ):
+        travel = np.where(enters & between, sign * along, np.inf)
+        exit_travel = np.where(leaves & between, sign * along, np.inf).min(axis=0)
+        first = travel.argmin(axis=0)
+        entry = np.take_along_axis(travel, first[None], axis=0)[0]
+        touches = np.isfinite(entry) & (exit_travel >= entry - _SAME_CROSSING)
+        distance[finger, touches] = sign * entry[touches]
+        which[finger, touches] = first[touches]
+    return distance, which
