@@ -52,13 +52,15 @@ def quaternion_multiply(a: Float[Array, "*n 4"], b: Float[Array, "*#n 4"]) -> Fl
 
 def quaternion_conjugate(q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
     """The inverse rotation."""
-    return np.multiply(q, [1.0, -1.0, -1.0, -1.0])
+    conjugate: Array = np.asarray(q, float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return conjugate
 
 
 def rotation_angle(a: Float[Array, "*n 4"], b: Float[Array, "*n 4"]) -> Float[Array, "*n"]:
     """Angle of the rotation that takes a to b, rad, in [0, pi]."""
     d = quaternion_multiply(quaternion_conjugate(a), b)
-    return np.multiply(2.0, np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0])))
+    angle: Array = 2.0 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0]))
+    return angle
 
 
 def yaw_quaternion(angle: Float[Array, "*n"]) -> Float[Array, "*n 4"]:

@@ -53,7 +53,8 @@ class PadContacts:
     @property
     def both(self) -> Bool[Array, "n"]:
         """Whether both pads have a contact."""
-        return np.all(np.any(self.valid, axis=2), axis=1)
+        touched: Array = self.valid.any(axis=2)  # type: ignore[assignment]
+        return np.logical_and(touched[:, 0], touched[:, 1])
 
     @property
     def means(self) -> Float[Array, "n 2 3"]:
