@@ -1,0 +1,96 @@
+"""The layout of a dataset: names of files, and the columns of `grasps.parquet`.
+
+```
+<root>/
+  dataset.json            schema version, configuration, seed, package versions, backend, counts
+  failures.jsonl          a line for each object or scene that was not produced
+  objects/<object_id>/
+    object.json           source, repair, scale, mass, inertia, stable poses; scenes and failures
+    mesh.ply  hulls.npz   what physics saw
+    scenes.npz            by scene and view: depth (scene, view, H, W) float32 m, segmentation
+                          uint8, intrinsics (3, 3), camera_pose (scene, view, 4, 4) camera to
+                          world; by scene: scene_id, object_pose (x y z, then wxyz), settle_time
+    grasps.parquet        a row per grasp, in the order of (scene_id, grasp_id)
+    cost.json             seconds by stage: what producing this object took
+```
+
+Every file but `cost.json` holds the same bytes whenever the same command runs with the same
+packages: timings are kept apart because they never repeat.
+"""
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from gmdx.metrics.table import METRICS
+
+SCHEMA_VERSION = 1
+
+DATASET_FILE = "dataset.json"
+FAILURES_FILE = "failures.jsonl"
+OBJECTS_FOLDER = "objects"
+OBJECT_FILE = "object.json"
+MESH_FILE = "mesh.ply"
+HULLS_FILE = "hulls.npz"
+SCENES_FILE = "scenes.npz"
+GRASPS_FILE = "grasps.parquet"
+COST_FILE = "cost.json"
+
+ROW_GROUP = 4096  # rows; fixed, so that the bytes do not depend on how grasps were batched
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of `grasps.parquet`."""
+
+    name: str
+    type: pa.DataType
+    unit: str
+    definition: str
+
+    @property
+    def field(self) -> pa.Field:
+        """The parquet field; unit and definition go into its metadata."""
+        return pa.field(
+            self.name, self.type, metadata={"unit": self.unit, "definition": self.definition}
+        )
+
+
+IDENTITY = (
+    Column("object_id", pa.string(), "", "object, the name of its folder"),
+    Column("scene_id", pa.int32(), "", "scene of the object"),
+    Column("grasp_id", pa.int64(), "", "grasp of the scene"),
+)
+GRASP = (
+    Column("x", pa.float64(), "m", "grasp centre in the world"),
+    Column("y", pa.float64(), "m", "grasp centre in the world"),
+    Column("z", pa.float64(), "m", "grasp centre in the world, above the table"),
+    Column("angle", pa.float64(), "rad", "closing axis about the world's z, in [0, pi)"),
+    Column("width", pa.float64(), "m", "opening between the pads before closing"),
+)
+METRIC_COLUMNS = tuple(
+    Column(metric.name, pa.float64(), metric.unit, f"#{metric.number} ({metric.kind}): "
+           f"{metric.definition}")
+    for metric in METRICS
+)  # fmt: skip
+COLUMNS = (*IDENTITY, *GRASP, *METRIC_COLUMNS)
+SCHEMA = pa.schema(
+    [column.field for column in COLUMNS], metadata={"gmdx_schema_version": str(SCHEMA_VERSION)}
+)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An object or a scene that was not produced, and why."""
+
+    object_id: str
+    scene_id: int | None  # None: the whole object
+    stage: str  # of the pipeline: prepare, settle, sample, trials, metrics, render, write, worker
+    error: str  # class of the error
+    message: str
+
+    @property
+    def key(self) -> tuple[str, int, str, str]:
+        """Order in `failures.jsonl`: by object, the object's own line first."""
+        scene = -1 if self.scene_id is None else self.scene_id
+        return (self.object_id, scene, self.stage, self.message)

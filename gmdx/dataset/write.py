@@ -1,0 +1,196 @@
+"""One object's folder: scenes and grasps streamed in, so that memory does not grow with them."""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.ipc
+import pyarrow.parquet as pq
+
+from gmdx.arrays import Array
+from gmdx.dataset import schema
+from gmdx.dataset.files import json_text, sync_folder, write_npz, write_ply, write_text
+from gmdx.dataset.schema import Failure
+from gmdx.dataset.store import writing
+from gmdx.errors import DatasetError
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.objects.model import ObjectModel
+from gmdx.scenes.camera import DepthImage
+from gmdx.scenes.scene import Scene
+
+
+class ObjectWriter:
+    """Writes one object into a folder that nobody else sees yet.
+
+    A scene's grasps go to a spool of their own first: a scene that fails half-way leaves no rows.
+    """
+
+    def __init__(self, folder: Path, obj: ObjectModel) -> None:
+        """Create the folder.
+
+        Raises:
+            StorageError: The disk refused, here and in every method.
+        """
+        self._folder = folder
+        self._object = obj
+        self._spools: list[Path] = []
+        self._scenes: list[dict[str, Any]] = []
+        self._images: list[Sequence[DepthImage]] = []
+        with writing(folder):
+            folder.mkdir(parents=True)
+
+    def write_scene(
+        self,
+        scene: Scene,
+        images: Sequence[DepthImage],
+        batches: Iterable[tuple[PlanarGrasp, Mapping[str, Array]]],
+    ) -> None:
+        """Write one scene: its views, and its grasps with their columns, batch by batch.
+
+        Args:
+            scene: The scene.
+            images: A view each.
+            batches: Grasps, and all columns of the schema past the grasp itself, by name.
+                Whatever drawing a batch raises passes through and leaves nothing behind.
+        """
+        spool = self._folder / f"scene{scene.scene_id}.arrow"
+        count = 0
+        try:
+            with writing(self._folder):
+                stream = pa.ipc.new_stream(spool, schema.SCHEMA)
+            for grasps, columns in batches:
+                table = rows(scene, grasps, columns)
+                with writing(self._folder):
+                    stream.write_table(table)
+                count += len(grasps)
+            with writing(self._folder):
+                stream.close()
+        except BaseException:
+            spool.unlink(missing_ok=True)
+            raise
+        self._spools.append(spool)
+        self._images.append(images)
+        self._scenes.append(
+            {
+                "scene_id": scene.scene_id,
+                "position": scene.position,
+                "quaternion": scene.quaternion,
+                "settle_time": scene.settle_time,
+                "grasps": count,
+            }
+        )
+
+    def close(self, *, failures: Sequence[Failure], cost: Mapping[str, Any]) -> None:
+        """Write what belongs to the whole object; the folder is complete after this.
+
+        Args:
+            failures: Scenes of this object that were not produced.
+            cost: Seconds by stage.
+        """
+        obj, folder = self._object, self._folder
+        with writing(folder):
+            write_ply(folder / schema.MESH_FILE, obj.vertices, obj.faces)
+            write_npz(folder / schema.HULLS_FILE, _hull_arrays(obj))
+            write_npz(folder / schema.SCENES_FILE, self._scene_arrays())
+            self._merge_spools()
+            write_text(folder / schema.COST_FILE, json_text(cost))
+            described = describe(obj, scenes=self._scenes, failures=failures)
+            write_text(folder / schema.OBJECT_FILE, json_text(described))
+            sync_folder(folder)
+
+    def _scene_arrays(self) -> dict[str, Array]:
+        views = self._images
+        return {
+            "scene_id": np.array([scene["scene_id"] for scene in self._scenes], np.int32),
+            "object_pose": np.array(
+                [[*scene["position"], *scene["quaternion"]] for scene in self._scenes]
+            ),
+            "settle_time": np.array([scene["settle_time"] for scene in self._scenes]),
+            "depth": np.array([[v.depth for v in scene] for scene in views], np.float32),
+            "segmentation": np.array([[v.segmentation for v in scene] for scene in views]),
+            "intrinsics": np.asarray(views[0][0].intrinsics),
+            "camera_pose": np.array([[v.pose for v in scene] for scene in views]),
+        }
+
+    def _merge_spools(self) -> None:
+        path = self._folder / schema.GRASPS_FILE
+        with pq.ParquetWriter(path, schema.SCHEMA, compression="zstd") as writer:
+            for table in _regrouped(self._spools):
+                writer.write_table(table, row_group_size=schema.ROW_GROUP)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+        for spool in self._spools:
+            spool.unlink()
+
+
+def rows(scene: Scene, grasps: PlanarGrasp, columns: Mapping[str, Array]) -> pa.Table:
+    """A batch of grasps as rows of the schema.
+
+    Raises:
+        DatasetError: A column of the schema is missing, or there is one too many.
+    """
+    n = len(grasps)
+    values: dict[str, Any] = {
+        "object_id": np.full(n, scene.object.object_id, dtype=object),
+        "scene_id": np.full(n, scene.scene_id),
+        "grasp_id": grasps.grasp_id,
+        "x": grasps.center[:, 0],
+        "y": grasps.center[:, 1],
+        "z": grasps.center[:, 2],
+        "angle": grasps.angle,
+        "width": grasps.width,
+        **columns,
+    }
+    names = {column.name for column in schema.COLUMNS}
+    if set(values) != names:
+        raise DatasetError(
+            f"the columns do not fit the schema: missing {sorted(names - set(values))}, "
+            f"unknown {sorted(set(values) - names)}"
+        )
+    arrays = [pa.array(values[field.name], type=field.type) for field in schema.SCHEMA]
+    return pa.Table.from_arrays(arrays, schema=schema.SCHEMA)
+
+
+def describe(
+    obj: ObjectModel, *, scenes: Sequence[Mapping[str, Any]], failures: Sequence[Failure]
+) -> dict[str, Any]:
+    """What `object.json` says about an object."""
+    return {
+        "object_id": obj.object_id,
+        "scale": obj.scale,
+        "mass": obj.mass,
+        "friction": obj.friction,
+        "inertia": obj.inertia,
+        "box": asdict(obj.box),
+        "stable_poses": asdict(obj.stable_poses),
+        "hulls": len(obj.hulls),
+        "report": {key: value for key, value in obj.report.items() if key != "seconds"},
+        "scenes": list(scenes),
+        "failures": [asdict(failure) for failure in failures],
+    }
+
+
+def _hull_arrays(obj: ObjectModel) -> dict[str, Array]:
+    """Hull vertices end to end, and how many belong to each."""
+    return {
+        "vertices": np.concatenate([np.zeros((0, 3)), *obj.hulls]),
+        "counts": np.array([len(hull) for hull in obj.hulls], np.int64),
+    }
+
+
+def _regrouped(spools: Iterable[Path]) -> Iterator[pa.Table]:
+    """The rows of all spools in tables of exactly ROW_GROUP rows, and what is left."""
+    held = schema.SCHEMA.empty_table()
+    for spool in spools:
+        with pa.ipc.open_stream(pa.OSFile(str(spool))) as batches:
+            for batch in batches:
+                held = pa.concat_tables([held, pa.Table.from_batches([batch])])
+                while held.num_rows >= schema.ROW_GROUP:
+                    yield held.slice(0, schema.ROW_GROUP).combine_chunks()
+                    held = held.slice(schema.ROW_GROUP)
+    if held.num_rows:
+        yield held.combine_chunks()
