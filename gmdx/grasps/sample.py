@@ -1,0 +1,229 @@
+"""Where to grasp: candidates over an object, filtered by what the gripper can do.
+
+A sampler is a stream of numbered candidates that depends on the scene's key alone. They are
+looked at in order until n of them pass, so a grasp does not depend on how many are asked for,
+and the first n of the dense ones cover positions, angles and heights evenly.
+"""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gmdx.arrays import Array, Float
+from gmdx.errors import GraspError, UsageError
+from gmdx.grasps.candidates import (
+    Candidates,
+    Surface,
+    antipodal,
+    dense,
+    random_points,
+    surface_of,
+)
+from gmdx.grasps.collide import collides
+from gmdx.grasps.contact import LineConfig, closing_contacts
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.grasps.hand import HandShape, hand_shape
+from gmdx.rng import generator
+from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
+from gmdx.scenes.gripper import Gripper, load_gripper
+from gmdx.scenes.scene import Scene
+
+SAMPLERS = ("dense", "antipodal")
+
+_LOG = logging.getLogger("gmdx")
+_MARGIN = 0.001  # m, around the fingers' swept boxes: the hulls lie that close to the surface
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """Which candidates there are, and which of them become grasps."""
+
+    candidates: int = 16384
+    """Candidates that a scene has; sampling ends there even if fewer grasps were found."""
+    clearance: tuple[float, float] = (0.005, 0.010)
+    """m: room left on either side between the open pads and the object, drawn from this range."""
+    least_clearance: float = 0.003
+    """m: room that must be left where the stroke or the object allows no more."""
+    table_clearance: float = 0.001
+    """m: between the fingertips and the table."""
+    colliding_share: float = 0.25
+    """Share of the candidates that collide which is kept, as data on collisions."""
+    surface_points: int = 4000
+    """Random points that, with the vertices, stand for the surface when the opening is chosen."""
+    lines: LineConfig = field(default_factory=LineConfig)
+    """The lines that decide whether the object lies between the pads."""
+
+
+def sample_grasps(
+    scene: Scene,
+    n: int,
+    seed: int = 0,
+    *,
+    sampler: str = "dense",
+    gripper: Gripper | None = None,
+    config: SampleConfig | None = None,
+) -> PlanarGrasp:
+    """N grasps of a scene's object; the same ones for the same seed, object and scene.
+
+    `dense` spreads the tool point over the object's silhouette, its height from just above the
+    table to the object's top, and the angle over half a turn. `antipodal` takes pairs of surface
+    points that face each other within their friction cones along a horizontal line. Both choose
+    the smallest opening at which the fingers straddle the object with clearance, and leave out
+    what the stroke or the table forbids and what misses the object. Of the grasps at which the
+    open gripper still collides, a share is kept.
+
+    Args:
+        scene: The object at rest.
+        n: How many; fewer are returned, with a warning, if the object has no more.
+        seed: The run's seed.
+        sampler: `dense` or `antipodal`.
+        gripper: The hand; the default one if None.
+        config: Clearances and shares.
+
+    Returns:
+        The grasps in the order of `grasp_id`, which is the number of the candidate.
+
+    Raises:
+        UsageError: The sampler is unknown, or n is not positive.
+        GraspError: No candidate passed.
+    """
+    if sampler not in SAMPLERS:
+        raise UsageError(f"no sampler '{sampler}': give one of {', '.join(SAMPLERS)}")
+    if n < 1:
+        raise UsageError(f"cannot sample {n} grasps: ask for 1 or more")
+    config = SampleConfig() if config is None else config
+    gripper = load_gripper() if gripper is None else gripper
+    obj = scene.object
+    key = (obj.object_id, "scene", scene.scene_id, "grasps")
+    place = _workplace(scene, gripper, config, generator(seed, *key))
+
+    passed = [_nothing()]
+    for candidates in _stream(place, sampler, generator(seed, *key, sampler)):
+        passed.append(_feasible(place, candidates))
+        if sum(map(len, passed)) >= n:
+            break
+    grasps = _joined(passed)[:n]
+
+    where = f"object '{obj.object_id}', scene {scene.scene_id}"
+    if not len(grasps):
+        raise GraspError(
+            f"{where}: none of {config.candidates} {sampler} candidates fits the gripper "
+            f"'{gripper.name}' (stroke {1e3 * gripper.stroke:.0f} mm): the object is too wide for "
+            "it, or too flat to be held above the table; scale the object or take another gripper"
+        )
+    if len(grasps) < n:
+        _LOG.warning("%s: only %d grasps found, %d asked for", where, len(grasps), n)
+    return grasps
+
+
+@dataclass(frozen=True)
+class _Workplace:
+    """What every candidate of one scene is looked at with."""
+
+    scene: Scene
+    gripper: Gripper
+    config: SampleConfig
+    model: GraspModel
+    hand: HandShape
+    surface: Surface  # in the world
+    points: Float[Array, "s 3"]  # m, that stand for the surface, in the world
+    clearance: Float[Array, "c"]  # m, of each candidate by number
+    luck: Float[Array, "c"]  # of each candidate, uniform in [0, 1)
+
+
+def _workplace(
+    scene: Scene, gripper: Gripper, config: SampleConfig, rng: np.random.Generator
+) -> _Workplace:
+    model = grasp_model(scene.object, gripper, PhysicsConfig())
+    surface = surface_of(scene.to_world(scene.object.vertices), scene.object.faces)
+    points, _ = random_points(surface, config.surface_points, rng)
+    return _Workplace(
+        scene=scene,
+        gripper=gripper,
+        config=config,
+        model=model,
+        hand=hand_shape(model),
+        surface=surface,
+        points=np.concatenate([surface.vertices, points]),
+        clearance=rng.uniform(*config.clearance, config.candidates),
+        luck=rng.random(config.candidates),
+    )
+
+
+def _stream(place: _Workplace, sampler: str, rng: np.random.Generator) -> Iterator[Candidates]:
+    config = place.config
+    # The fingertips stay above the table, and the palm above the object's highest point.
+    lowest = max(
+        place.hand.tip + config.table_clearance,
+        place.surface.top + config.least_clearance - place.hand.palm,
+    )
+    if sampler == "dense":
+        return dense(place.surface, config.candidates, lowest, rng)
+    return antipodal(
+        place.surface,
+        config.candidates,
+        lowest,
+        rng,
+        friction=place.scene.object.friction,
+        stroke=place.gripper.stroke,
+    )
+
+
+def _feasible(place: _Workplace, candidates: Candidates) -> PlanarGrasp:
+    """The candidates that the gripper can straddle the object at, with their openings."""
+    half = np.array(
+        [
+            _half_opening(place, center, angle, place.clearance[number])
+            for center, angle, number in zip(
+                candidates.center, candidates.angle, candidates.number, strict=True
+            )
+        ]
+    ).reshape(len(candidates))
+    grasps = PlanarGrasp(candidates.number, candidates.center, candidates.angle, 2 * half)
+    grasps = grasps[np.isfinite(half)]
+    contacts = closing_contacts(
+        place.scene, grasps, gripper=place.gripper, config=place.config.lines
+    )
+    grasps = grasps[contacts.pads.both]
+    free = ~collides(place.scene, grasps, gripper=place.gripper, model=place.model)
+    return grasps[free | (place.luck[grasps.grasp_id] < place.config.colliding_share)]
+
+
+def _half_opening(
+    place: _Workplace, center: Float[Array, "3"], angle: float, clearance: float
+) -> float:
+    """Half the smallest opening at which both fingers come down free of the object, m, or NaN.
+
+    Seen along the closing axis, a finger that stands off by h fills [h, h + thickness]; so
+    both are free if no surface point in the slab that they sweep has |x| in that interval.
+    """
+    x, y = place.points[:, 0] - center[0], place.points[:, 1] - center[1]
+    cos, sin = np.cos(angle), np.sin(angle)
+    swept = np.abs(y * cos - x * sin) <= place.hand.half_span + _MARGIN
+    swept &= place.points[:, 2] >= center[2] - place.hand.tip - _MARGIN
+    off = np.sort(np.abs(x[swept] * cos + y[swept] * sin))
+    if not len(off):
+        return np.nan
+    # Room behind each point for a finger's clearance: in the gap before the next point, and in
+    # the stroke.
+    gap = np.append(np.diff(off), np.inf)
+    room = np.minimum(0.5 * (gap - place.hand.thickness), 0.5 * place.gripper.stroke - off)
+    enough = np.flatnonzero(room >= place.config.least_clearance)
+    if not len(enough):
+        return np.nan
+    return float(off[enough[0]] + min(clearance, room[enough[0]]))
+
+
+def _nothing() -> PlanarGrasp:
+    return PlanarGrasp(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+
+
+def _joined(batches: list[PlanarGrasp]) -> PlanarGrasp:
+    return PlanarGrasp(
+        np.concatenate([batch.grasp_id for batch in batches]),
+        np.concatenate([batch.center for batch in batches]),
+        np.concatenate([batch.angle for batch in batches]),
+        np.concatenate([batch.width for batch in batches]),
+    )
