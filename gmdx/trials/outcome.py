@@ -7,9 +7,9 @@ class Outcome(IntEnum):
     """The named end of one trial; every trial has exactly one."""
 
     SUCCESS = 0  # lifted and held between both pads
-    NO_CONTACT = 1  # the pads closed without ever holding the object between them
-    LOST_IN_LIFT = 2  # held at the end of closing, not at the end of the hold
-    KNOCKED_AWAY = 3  # touched, but pushed out from between the pads while they closed
+    NO_CONTACT = 1  # the fingers closed without touching the object
+    LOST_IN_LIFT = 2  # between both pads when they had closed, but not held at the end
+    KNOCKED_AWAY = 3  # touched, but not between both pads when they had closed
     COLLISION_IN_APPROACH = 4  # the gripper hit the object or the table on its way down
     DIVERGED = 5  # the simulation failed; says nothing about the grasp
 

@@ -1,0 +1,92 @@
+"""What a backend is handed and what it hands back: trials in the gripper's frame.
+
+The gripper's frame turns and shifts with each grasp: its z axis is the world's, its origin lies
+on the table below the tool point, its x axis is the closing axis. The table is z = 0 in it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.geometry import quaternion_matrix, quaternion_multiply, yaw_quaternion
+from gmdx.grasps.grasp import PadContacts, PlanarGrasp
+from gmdx.objects.model import ObjectModel
+from gmdx.scenes.gripper import Gripper
+from gmdx.scenes.scene import Scene
+from gmdx.trials.perturb import perturb
+from gmdx.trials.protocol import TrialConfig
+
+
+@dataclass(frozen=True)
+class TrialBatch:
+    """m trials of one object with one gripper."""
+
+    object: ObjectModel
+    gripper: Gripper
+    nominal: Bool[Array, "m"]  # pushed at the end
+    center: Float[Array, "m 3"]  # m, world, of the executed (perturbed) grasp
+    angle: Float[Array, "m"]  # rad, world, of the executed closing axis
+    object_pose: Float[Array, "m 7"]  # at the start, gripper's frame: position m, quaternion wxyz
+    grasp_height: Float[Array, "m"]  # m, of the tool point at the grasp
+    start_height: Float[Array, "m"]  # m, of the tool point where the approach starts
+    opening: Float[Array, "m"]  # m, until the fingers close
+    descent: float  # m, the longest way down to a grasp in this scene
+
+    def __len__(self) -> int:
+        return len(self.angle)
+
+
+@dataclass(frozen=True)
+class RawTrials:
+    """What an engine measured on a `TrialBatch`; what was not reached is NaN or invalid."""
+
+    outcome: Int[Array, "m"]
+    collision: Bool[Array, "m"]
+    object_pose: Float[Array, "m 4 7"]  # by Snapshot, gripper's frame
+    tool_height: Float[Array, "m 4"]  # m, by Snapshot
+    contacts: PadContacts  # object's frame, at CLOSED
+    opening: Float[Array, "m"]  # m, at CLOSED
+    push_force: Float[Array, "m"]  # N
+    push_force_is_lower_bound: Bool[Array, "m"]
+    steps: int
+    step_seconds: float  # s, inside the engine's step
+
+
+def place(
+    scene: Scene, grasps: PlanarGrasp, *, gripper: Gripper, config: TrialConfig
+) -> TrialBatch:
+    """The trials of a batch of grasps, grasp by grasp, seen from the gripper."""
+    centers, angles = perturb(scene, grasps, trials=config.trials, noise=config.noise)
+    center, angle = centers.reshape(-1, 3), angles.reshape(-1)
+    count = len(angle)
+
+    turn = yaw_quaternion(-angle)
+    ground = np.concatenate([center[:, :2], np.zeros((count, 1))], axis=1)
+    position = np.einsum("nij,nj->ni", quaternion_matrix(turn), scene.position - ground)
+    quaternion = quaternion_multiply(turn, np.broadcast_to(scene.quaternion, (count, 4)))
+
+    top = max(float(scene.to_world(hull)[:, 2].max()) for hull in scene.object.hulls)
+    start = np.maximum(top + 0.5 * gripper.pad_size[1], center[:, 2]) + config.clearance
+    return TrialBatch(
+        object=scene.object,
+        gripper=gripper,
+        nominal=np.tile(np.arange(config.trials) == 0, len(grasps)),
+        center=center,
+        angle=angle,
+        object_pose=np.concatenate([position, quaternion], axis=1),
+        grasp_height=center[:, 2],
+        start_height=start,
+        opening=np.repeat(grasps.width, config.trials),
+        descent=top + config.clearance,
+    )
+
+
+def to_world(
+    pose: Float[Array, "n s 7"], center: Float[Array, "n 3"], angle: Float[Array, "n"]
+) -> tuple[Float[Array, "n s 3"], Float[Array, "n s 4"]]:
+    """Poses from the gripper's frame to the world: positions (m) and quaternions (wxyz)."""
+    turn = yaw_quaternion(angle)
+    ground = np.concatenate([center[:, :2], np.zeros((len(center), 1))], axis=1)
+    position = np.einsum("nij,nsj->nsi", quaternion_matrix(turn), pose[..., :3]) + ground[:, None]
+    return position, quaternion_multiply(np.repeat(turn[:, None], pose.shape[1], 1), pose[..., 3:])

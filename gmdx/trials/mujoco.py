@@ -1,0 +1,370 @@
+"""Trials on C MuJoCo through `mujoco.rollout`: phases in turn, and only trials still alive.
+
+A phase runs in chunks of steps. After each chunk the trials that have ended drop out, so that
+nothing is simulated whose end is known. A trial's numbers depend on itself alone: not on the
+batch it runs in, nor on the number of threads.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.errors import TrialError
+from gmdx.geometry import quaternion_matrix
+from gmdx.grasps.grasp import PadContacts
+from gmdx.scenes.build import (
+    HEIGHT_QPOS,
+    HEIGHT_QVEL,
+    OBJECT_QPOS,
+    OBJECT_QVEL,
+    SLOT_SIZE,
+    GraspModel,
+    grasp_model,
+)
+from gmdx.trials.batch import RawTrials, TrialBatch
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.protocol import Phase, Schedule, TrialConfig, compile_schedule
+from gmdx.trials.results import Snapshot
+
+_log = logging.getLogger("gmdx")
+_FACE_COSINE = np.cos(np.pi / 4)  # a contact this close to the closing axis is on a pad's face
+
+
+@dataclass(frozen=True)
+class MujocoBackend:
+    """C MuJoCo on the CPU."""
+
+    threads: int = 1
+
+    @property
+    def version(self) -> str:
+        """Name and version."""
+        return f"mujoco {mujoco.__version__}"
+
+    def run(self, batch: TrialBatch, *, config: TrialConfig) -> RawTrials:
+        """Run every trial to its named end.
+
+        Raises:
+            TrialError: MuJoCo ran out of contact or constraint memory.
+        """
+        scene = grasp_model(batch.object, batch.gripper, config.physics)
+        schedule = compile_schedule(
+            config,
+            stroke=batch.gripper.stroke,
+            closing_force=batch.gripper.force,
+            descent=batch.descent,
+        )
+        with _quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
+            trials = _Trials(scene, batch, config, pool, self.threads)
+            trials.run(schedule)
+        return trials.results()
+
+
+@contextmanager
+def _quiet_warnings() -> Iterator[None]:
+    """Send MuJoCo's warnings to the log instead of a file in the working directory."""
+    mujoco.set_mju_user_warning(lambda message: _log.debug("MuJoCo: %s", message))
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """States after, and sensors at the start of, each of s steps of some trials."""
+
+    qpos: Float[Array, "a s q"]
+    qvel: Float[Array, "a s v"]
+    sensors: Float[Array, "a s d"]
+
+    @property
+    def object_velocity(self) -> Float[Array, "a s 3"]:
+        velocity: Array = self.qvel[..., :3]
+        return velocity
+
+
+_Observe = Callable[[Int[Array, "a"], _Frames, slice], Bool[Array, "a"]]
+
+
+class _Trials:
+    """The running state of a batch; rows are trials, `ended` ones have an outcome."""
+
+    def __init__(
+        self,
+        scene: GraspModel,
+        batch: TrialBatch,
+        config: TrialConfig,
+        pool: rollout.Rollout,
+        threads: int,
+    ) -> None:
+        self.scene, self.batch, self.config, self.pool = scene, batch, config, pool
+        model = scene.model
+        self.data = [mujoco.MjData(model) for _ in range(threads)]
+        count = len(batch)
+        self.state = np.zeros((count, 1 + model.nq + model.nv))  # time, qpos, qvel
+        self.qpos_at_sensors = np.zeros((count, model.nq))
+        self.sensors = np.zeros((count, model.nsensordata))
+
+        self.outcome = np.full(count, -1)
+        self.collision = np.zeros(count, bool)
+        self.touched = np.zeros(count, bool)
+        self.pose = np.full((count, len(Snapshot), 7), np.nan)
+        self.height = np.full((count, len(Snapshot)), np.nan)
+        self.opening = np.full(count, np.nan)
+        slots = scene.sensors.slots
+        self.points = np.full((count, 2, slots, 3), np.nan)
+        self.normals = np.full((count, 2, slots, 3), np.nan)
+        self.valid = np.zeros((count, 2, slots), bool)
+        self.held_force = np.zeros(count)
+        self.pushed_out = np.zeros(count, bool)
+        self.force = np.zeros(count)
+        self.lower_bound = np.zeros(count, bool)
+        self.steps = 0
+        self.step_seconds = 0.0
+
+    def run(self, schedule: Schedule) -> None:
+        """All phases in turn."""
+        self._start()
+        self._advance(schedule.approach, self._watch_approach)
+        self._snapshot(Snapshot.CLOSING)
+        self._advance(schedule.close, self._watch_closing)
+        self._snapshot(Snapshot.CLOSED)
+        self._read_grip()
+        self._advance(schedule.lift, self._watch_lift)
+        self._advance(schedule.hold, self._watch_hold)
+        self._snapshot(Snapshot.HELD)
+        self._judge()
+        self._push(schedule.push)
+        self._check_memory()
+
+    def results(self) -> RawTrials:
+        diverged = self.outcome == Outcome.DIVERGED
+        return RawTrials(
+            outcome=self.outcome,
+            collision=self.collision,
+            object_pose=self.pose,
+            tool_height=self.height,
+            contacts=PadContacts(self.points, self.normals, self.valid),
+            opening=self.opening,
+            push_force=np.where(diverged, np.nan, self.force),
+            push_force_is_lower_bound=self.lower_bound & ~diverged,
+            steps=self.steps,
+            step_seconds=self.step_seconds,
+        )
+
+    # Phases
+
+    def _start(self) -> None:
+        qpos = np.zeros((len(self.batch), self.scene.model.nq))
+        qpos[:, OBJECT_QPOS] = self.batch.object_pose
+        qpos[:, HEIGHT_QPOS] = self.batch.start_height
+        qpos[:, self.scene.finger_qpos] = self.scene.gripper.finger_positions(self.batch.opening)
+        self.state[:, 1 : 1 + self.scene.model.nq] = qpos
+        self._snapshot(Snapshot.START)
+
+    def _watch_approach(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+        """A touch by anything but a pad's face ends the trial."""
+        layout = self.scene.sensors
+        pads = np.stack([self._slots(frames.sensors, side) for side in (0, 1)], axis=-3)
+        by_pads = pads[..., 0, 0].sum(axis=-1)
+        off_face = (pads[..., 0] > 0) & (np.abs(pads[..., 8]) < _FACE_COSINE)
+        hit = (
+            (frames.sensors[..., layout.hand_table] > 0)
+            | (frames.sensors[..., layout.hand] > by_pads)
+            | np.any(off_face, axis=(-1, -2))
+        )
+        collided: Array = np.any(hit, axis=1)
+        self.collision[rows] |= collided
+        self.outcome[rows[collided]] = Outcome.COLLISION_IN_APPROACH
+        return collided
+
+    def _watch_closing(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+        """The phase ends early where neither fingers nor object move any more."""
+        self.touched[rows] |= np.any(frames.sensors[..., self.scene.sensors.hand] > 0, axis=1)
+        return self._still(frames)
+
+    def _watch_lift(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+        """An object that no pad touches any more will not come back."""
+        lost: Array = ~np.any(self._pads_touch(frames.sensors[:, -1]), axis=1)
+        self.outcome[rows[lost]] = Outcome.LOST_IN_LIFT
+        return lost
+
+    def _watch_hold(self, rows: Int[Array, "a"], frames: _Frames, steps: slice) -> Bool[Array, "a"]:
+        return self._watch_lift(rows, frames, steps) | self._still(frames)
+
+    def _read_grip(self) -> None:
+        """Contacts and opening at the end of closing; trials without a grip end here."""
+        layout, alive = self.scene.sensors, self._alive()
+        fingers = self.state[:, 1:][:, self.scene.finger_qpos]
+        self.opening[alive] = self.scene.gripper.opening(fingers[alive])
+        # Sensors belong to the start of their step, so they go with the pose before it.
+        pose = self.qpos_at_sensors[:, OBJECT_QPOS]
+        to_object = quaternion_matrix(pose[:, 3:])
+        for side in (0, 1):
+            slots = self.sensors[:, layout.pads[side]].reshape(len(pose), layout.slots, SLOT_SIZE)
+            found = (slots[..., 0] > 0) & (slots[..., 1] > 0) & alive[:, None]
+            points = np.einsum("nki,nij->nkj", slots[..., 5:8] - pose[:, None, :3], to_object)
+            normals = np.einsum("nki,nij->nkj", slots[..., 8:11], to_object)
+            self.points[:, side] = np.where(found[..., None], points, np.nan)
+            self.normals[:, side] = np.where(found[..., None], normals, np.nan)
+            self.valid[:, side] = found
+        gripped = np.all(np.any(self.valid, axis=2), axis=1)
+        self.outcome[alive & ~gripped & self.touched] = Outcome.KNOCKED_AWAY
+        self.outcome[alive & ~gripped & ~self.touched] = Outcome.NO_CONTACT
+
+    def _judge(self) -> None:
+        """Success: risen with the gripper, off the table, between both pads."""
+        alive = self._alive()
+        rise = self.pose[:, Snapshot.HELD, 2] - self.pose[:, Snapshot.CLOSED, 2]
+        held = (
+            (rise >= self.config.risen * self.config.lift_height)
+            & (self.sensors[:, self.scene.sensors.object_table] == 0)
+            & np.all(self._pads_touch(self.sensors), axis=1)
+        )
+        self.outcome[alive & held] = Outcome.SUCCESS
+        self.outcome[alive & ~held] = Outcome.LOST_IN_LIFT
+
+    def _push(self, phase: Phase) -> None:
+        """Push the nominal trial's object with a growing force until it slips out."""
+        rows = np.flatnonzero(self.batch.nominal & (self.outcome == Outcome.SUCCESS))
+        direction = np.array(self.config.push_direction)
+        strength = phase.force @ direction
+        offset = self._offset(self.state[:, None, 1 : 1 + self.scene.model.nq])[:, 0] @ direction
+
+        def watch(rows: Int[Array, "a"], frames: _Frames, steps: slice) -> Bool[Array, "a"]:
+            moved = self._offset(frames.qpos) @ direction - offset[rows, None]
+            velocity = frames.object_velocity.copy()
+            velocity[..., 2] -= frames.qvel[..., HEIGHT_QVEL]
+            slipping = velocity @ direction > self.config.slip_speed
+            out = slipping & (moved > self.config.push_distance)
+            first = np.where(out.any(axis=1), out.argmax(axis=1), out.shape[1])
+            before = np.arange(out.shape[1]) < first[:, None]
+            resisted = np.where(before & ~slipping, strength[steps], 0.0).max(axis=1)
+            self.held_force[rows] = np.maximum(self.held_force[rows], resisted)
+            self.pushed_out[rows] |= first < out.shape[1]
+            ended: Array = first < out.shape[1]
+            return ended
+
+        self._advance(phase, watch, rows)
+        rows = rows[self.outcome[rows] == Outcome.SUCCESS]
+        out = self.pushed_out[rows]
+        self.force[rows] = np.where(out, self.held_force[rows], strength[-1])
+        self.lower_bound[rows] = ~out
+
+    # Stepping
+
+    def _advance(
+        self, phase: Phase, observe: _Observe, rows: Int[Array, "a"] | None = None
+    ) -> None:
+        """Step the living rows through a phase until it, or what `observe` watches for, ends.
+
+        Rows that diverge get that outcome and drop out, before anything else sees them.
+        """
+        rows = np.flatnonzero(self._alive()) if rows is None else rows
+        nq = self.scene.model.nq
+        for start in range(0, len(phase), self.config.chunk):
+            if len(rows) == 0:
+                return
+            steps = slice(start, min(start + self.config.chunk, len(phase)))
+            states, sensors = self._step(rows, phase, steps)
+            frames = _Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
+            sane = self._sane(frames)
+            self.outcome[rows[~sane]] = Outcome.DIVERGED
+            rows, states, sensors = rows[sane], states[sane], sensors[sane]
+            frames = _Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
+            before = states[:, -2] if states.shape[1] > 1 else self.state[rows]
+            self.qpos_at_sensors[rows] = before[:, 1 : 1 + nq]
+            self.sensors[rows] = sensors[:, -1]
+            self.state[rows] = states[:, -1]
+            rows = rows[~observe(rows, frames, steps)]
+
+    def _step(
+        self, rows: Int[Array, "a"], phase: Phase, steps: slice
+    ) -> tuple[Float[Array, "a s n"], Float[Array, "a s d"]]:
+        model, batch = self.scene.model, self.batch
+        control = phase.controls(batch.grasp_height[rows], batch.start_height[rows])[:, steps]
+        spec = mujoco.mjtState.mjSTATE_CTRL
+        if np.any(phase.force):
+            spec |= mujoco.mjtState.mjSTATE_XFRC_APPLIED
+            forces = np.zeros((*control.shape[:2], model.nbody, 6))
+            forces[:, :, self.scene.object_body, :3] = phase.force[steps]
+            control = np.concatenate([control, forces.reshape(*control.shape[:2], -1)], axis=2)
+        begin = time.perf_counter()
+        states, sensors = self.pool.rollout(
+            model,
+            self.data,
+            self.state[rows],
+            control,
+            control_spec=int(spec),
+            initial_warmstart=np.zeros((len(rows), model.nv)),
+        )
+        self.step_seconds += time.perf_counter() - begin
+        self.steps += len(rows) * control.shape[1]
+        return states, sensors
+
+    # Reading
+
+    def _alive(self) -> Bool[Array, "m"]:
+        alive: Array = self.outcome < 0
+        return alive
+
+    def _snapshot(self, moment: Snapshot) -> None:
+        alive = self._alive()
+        qpos = self.state[alive, 1 : 1 + self.scene.model.nq]
+        self.pose[alive, moment] = qpos[:, OBJECT_QPOS]
+        self.height[alive, moment] = qpos[:, HEIGHT_QPOS]
+
+    def _slots(self, sensors: Float[Array, "*n d"], side: int) -> Float[Array, "*n k s"]:
+        layout = self.scene.sensors
+        return sensors[..., layout.pads[side]].reshape(*sensors.shape[:-1], layout.slots, SLOT_SIZE)
+
+    def _pads_touch(self, sensors: Float[Array, "a d"]) -> Bool[Array, "a 2"]:
+        """Whether any contact of each pad carries force."""
+        force = [self._slots(sensors, side)[..., 1].max(axis=-1) > 0 for side in (0, 1)]
+        return np.stack(force, axis=-1)
+
+    def _offset(self, qpos: Float[Array, "a s q"]) -> Float[Array, "a s 3"]:
+        """Object's position relative to the tool point, m."""
+        offset = qpos[..., :3].copy()
+        offset[..., 2] -= qpos[..., HEIGHT_QPOS]
+        return offset
+
+    def _still(self, frames: _Frames) -> Bool[Array, "a"]:
+        """Nothing moves at the end of these steps, the gripper's own rise aside."""
+        last = frames.qvel[:, -1].copy()
+        last[:, 2] -= last[:, HEIGHT_QVEL]
+        speed = np.linalg.norm(last[:, :3], axis=1)
+        spin = np.linalg.norm(last[:, 3:6], axis=1)
+        fingers = np.abs(last[:, HEIGHT_QVEL + 1 :]).max(axis=1)
+        still: Array = (np.maximum(speed, fingers) < self.config.still_speed) & (
+            spin < self.config.still_spin
+        )
+        return still
+
+    def _sane(self, frames: _Frames) -> Bool[Array, "a"]:
+        finite = np.isfinite(frames.qpos).all(axis=(1, 2)) & np.isfinite(frames.qvel).all(
+            axis=(1, 2)
+        )
+        with np.errstate(invalid="ignore", over="ignore"):
+            linear = np.delete(frames.qvel, np.arange(3, OBJECT_QVEL.stop), axis=2)
+            slow = np.abs(linear).max(axis=(1, 2)) < self.config.mad_speed
+        sane: Array = finite & slow
+        return sane
+
+    def _check_memory(self) -> None:
+        for kind in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL):
+            if any(data.warning[kind].number for data in self.data):
+                raise TrialError(
+                    f"MuJoCo dropped contacts or constraints of object "
+                    f"'{self.batch.object.object_id}' for lack of memory: its "
+                    f"{len(self.batch.object.hulls)} hulls touch in too many places; "
+                    "decompose it into fewer"
+                )
