@@ -130,7 +130,7 @@ def _ring_counts(radius: Floats, segments: int) -> list[int]:
         widest = radius[rise[-1]]
         allowed = segments
         for i in reversed(rise):
-            if allowed % 2 == 0 and allowed > 6 and radius[i] / widest < 0.7 * allowed / segments:
+            if allowed % 2 == 0 and allowed > 6 and radius[i] / widest < 0.5 * allowed / segments:
                 allowed //= 2
             counts[i] = min(counts[i], allowed)
     return counts
@@ -206,9 +206,12 @@ def _fill(loops: Sequence[Floats], step: float, extra: Floats) -> tuple[Floats, 
     rows = np.arange(low[1] + 0.31 * step, high[1], step * np.sqrt(3) / 2)
     columns = np.arange(low[0] - step, high[0] + step, step)
     lattice = np.concatenate(
-        [np.stack([columns + 0.5 * step * (i % 2), np.full(len(columns), y)], axis=1)
-         for i, y in enumerate(rows)]
-    )  # fmt: skip
+        [np.zeros((0, 2))]
+        + [
+            np.stack([columns + 0.5 * step * (i % 2), np.full(len(columns), y)], axis=1)
+            for i, y in enumerate(rows)
+        ]
+    )
     lattice = lattice[_inside(lattice, loops) & (_distance(lattice, loops) > 0.6 * step)]
     if len(extra):
         extra = extra[_inside(extra, loops) & (_distance(extra, loops) > 0.4 * step)]

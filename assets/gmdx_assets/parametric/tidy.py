@@ -6,8 +6,6 @@ import numpy as np
 
 from gmdx_assets.parametric.solids import Floats, Ints, Solid
 
-Edge = tuple[int, int]
-
 
 def tidy(solid: Solid, *, shortest: float, tolerance: float) -> Solid:
     """The same surface with fewer and better triangles.
@@ -38,20 +36,12 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(length, 1e-30)
 
 
-def _smallest_angle(corners: Floats) -> float:
-    """The smallest angle in any of the triangles (n, 3, 3), rad."""
+def _smallest_angles(corners: Floats) -> Floats:
+    """The smallest angle of each triangle (n, 3, 3), rad."""
     a = _unit(np.roll(corners, -1, axis=1) - corners)
     b = _unit(np.roll(corners, 1, axis=1) - corners)
-    return float(np.arccos(np.clip((a * b).sum(axis=2), -1, 1)).min())
-
-
-def _opposite(faces: Ints) -> dict[Edge, tuple[int, int]]:
-    """For each directed edge its face and the face's third vertex."""
-    return {
-        (int(f[i]), int(f[(i + 1) % 3])): (index, int(f[(i + 2) % 3]))
-        for index, f in enumerate(faces)
-        for i in range(3)
-    }
+    smallest: Floats = np.arccos(np.clip((a * b).sum(axis=2), -1, 1)).min(axis=1)
+    return smallest
 
 
 def _collapse(vertices: Floats, faces: Ints, shortest: float, tolerance: float) -> tuple[Ints, int]:
@@ -84,7 +74,7 @@ def _collapse(vertices: Floats, faces: Ints, shortest: float, tolerance: float) 
             thick = np.linalg.norm(_normals(before), axis=1) > 1e-10
             shift = np.abs(((vertices[keep] - vertices[drop]) * old).sum(axis=1))[thick]
             turned = ((old * new).sum(axis=1) < 0.3)[thick].any()
-            bad = turned or _smallest_angle(after) < min(_smallest_angle(before), 0.1)
+            bad = turned or _smallest_angles(after).min() < min(_smallest_angles(before).min(), 0.1)
             costs.append(np.inf if bad else float(shift.max(initial=0.0)))
         if min(costs) > tolerance:
             continue
@@ -100,26 +90,35 @@ def _collapse(vertices: Floats, faces: Ints, shortest: float, tolerance: float) 
 
 def _flip(vertices: Floats, faces: Ints, tolerance: float) -> int:
     """Flips, in place, edges whose other diagonal makes better triangles of the same surface."""
-    opposite = _opposite(faces)
-    touched: set[int] = set()
+    starts, ends, thirds = (np.roll(faces, -shift, axis=1).ravel() for shift in range(3))
+    sides = {(int(a), int(b)): i for i, (a, b) in enumerate(zip(starts, ends, strict=True))}
+    pairs = [(i, sides[b, a]) for (a, b), i in sides.items() if a < b]
+    here, there = np.array(pairs).T
+    u, v, w, x = starts[here], ends[here], thirds[here], thirds[there]
+    old = np.stack([_normals(vertices[c]) for c in (_rows(u, v, w), _rows(v, u, x))], axis=1)
+    new = np.stack([_normals(vertices[c]) for c in (_rows(w, x, v), _rows(x, w, u))], axis=1)
+    larger = old[np.arange(len(u)), np.linalg.norm(old, axis=2).argmax(axis=1)]
+    alike = (_unit(new) * _unit(larger)[:, None]).sum(axis=2).min(axis=1) > 0.5
+    across = _unit(np.cross(vertices[v] - vertices[u], vertices[x] - vertices[w]))
+    flat = np.abs((across * (vertices[w] - vertices[u])).sum(axis=1)) < tolerance
+    angles = _smallest_angles(vertices[faces])
+    before = np.minimum(angles[here // 3], angles[there // 3])
+    after = np.minimum(
+        _smallest_angles(vertices[_rows(w, x, v)]), _smallest_angles(vertices[_rows(x, w, u)])
+    )
     count = 0
-    for (u, v), (i, w) in sorted(opposite.items()):
-        j, x = opposite[v, u]
-        if u > v or i in touched or j in touched or (w, x) in opposite or (x, w) in opposite:
+    touched: set[int] = set()
+    for e in np.flatnonzero(alike & flat & (after > 1.05 * before)):
+        a, b, c, d = int(u[e]), int(v[e]), int(w[e]), int(x[e])
+        i, j = int(here[e]) // 3, int(there[e]) // 3
+        if i in touched or j in touched or (c, d) in sides or (d, c) in sides:
             continue
-        before = vertices[[[u, v, w], [v, u, x]]]
-        after = vertices[[[w, x, v], [x, w, u]]]
-        old, new = _normals(before), _normals(after)
-        larger = _unit(old[np.argmax(np.linalg.norm(old, axis=1))])
-        if (_unit(new) @ larger).min() < 0.5:
-            continue
-        across = _unit(np.cross(vertices[v] - vertices[u], vertices[x] - vertices[w]))
-        if abs(float(across @ (vertices[w] - vertices[u]))) > tolerance:
-            continue
-        if _smallest_angle(after) < 1.05 * _smallest_angle(before):
-            continue
-        faces[i], faces[j] = (w, x, v), (x, w, u)
-        touched |= {i, j}
-        touched |= {opposite[e][0] for e in ((w, v), (u, w), (v, x), (x, u)) if e in opposite}
+        faces[i], faces[j] = (c, d, b), (d, c, a)
+        # The neighbours wait for the next round: what was computed for them no longer holds.
+        touched |= {i, j, *(sides[edge] // 3 for edge in ((c, b), (a, c), (b, d), (d, a)))}
         count += 1
     return count
+
+
+def _rows(a: Ints, b: Ints, c: Ints) -> Ints:
+    return np.stack([a, b, c], axis=1)
