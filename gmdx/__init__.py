@@ -1,1 +1,105 @@
-"""Object meshes in, annotated planar-grasp datasets out."""
+"""Object meshes in, annotated planar-grasp datasets out.
+
+The public names are here; each is imported from its module when it is first used, so that
+`import gmdx` is fast.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gmdx.dataset.read import Dataset, SceneView, read_dataset
+    from gmdx.dataset.schema import Failure
+    from gmdx.errors import GmdxError
+    from gmdx.grasps.grasp import PadContacts, PlanarGrasp
+    from gmdx.grasps.sample import SampleConfig, sample_grasps
+    from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
+    from gmdx.metrics.epsilon import Epsilon, epsilon
+    from gmdx.metrics.table import METRIC_NAMES, METRICS, Metric
+    from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
+    from gmdx.objects.prepare import PrepareConfig, load_object
+    from gmdx.pipeline import GenerateConfig, Progress, Summary, generate
+    from gmdx.scenes.camera import CameraConfig, DepthImage, render
+    from gmdx.scenes.gripper import Gripper, load_gripper
+    from gmdx.scenes.scene import Scene
+    from gmdx.scenes.settle import SettleConfig, settle
+    from gmdx.trials.outcome import Outcome
+    from gmdx.trials.protocol import TrialConfig
+    from gmdx.trials.results import Snapshot, TrialResults
+    from gmdx.trials.run import run_trials
+
+__all__ = [
+    "METRICS",
+    "METRIC_NAMES",
+    "CameraConfig",
+    "Dataset",
+    "DepthImage",
+    "Epsilon",
+    "Failure",
+    "GenerateConfig",
+    "GmdxError",
+    "Gripper",
+    "Metric",
+    "MetricConfig",
+    "MetricTable",
+    "ObjectModel",
+    "OrientedBox",
+    "Outcome",
+    "PadContacts",
+    "PlanarGrasp",
+    "PrepareConfig",
+    "Progress",
+    "SampleConfig",
+    "Scene",
+    "SceneView",
+    "SettleConfig",
+    "Snapshot",
+    "StablePoses",
+    "Summary",
+    "TrialConfig",
+    "TrialResults",
+    "compute_metrics",
+    "epsilon",
+    "generate",
+    "load_gripper",
+    "load_object",
+    "read_dataset",
+    "render",
+    "run_trials",
+    "sample_grasps",
+    "settle",
+]
+
+_MODULES = {
+    "gmdx.dataset.read": ("Dataset", "SceneView", "read_dataset"),
+    "gmdx.dataset.schema": ("Failure",),
+    "gmdx.errors": ("GmdxError",),
+    "gmdx.grasps.grasp": ("PadContacts", "PlanarGrasp"),
+    "gmdx.grasps.sample": ("SampleConfig", "sample_grasps"),
+    "gmdx.metrics.compute": ("MetricConfig", "MetricTable", "compute_metrics"),
+    "gmdx.metrics.epsilon": ("Epsilon", "epsilon"),
+    "gmdx.metrics.table": ("METRICS", "METRIC_NAMES", "Metric"),
+    "gmdx.objects.model": ("ObjectModel", "OrientedBox", "StablePoses"),
+    "gmdx.objects.prepare": ("PrepareConfig", "load_object"),
+    "gmdx.pipeline": ("GenerateConfig", "Progress", "Summary", "generate"),
+    "gmdx.scenes.camera": ("CameraConfig", "DepthImage", "render"),
+    "gmdx.scenes.gripper": ("Gripper", "load_gripper"),
+    "gmdx.scenes.scene": ("Scene",),
+    "gmdx.scenes.settle": ("SettleConfig", "settle"),
+    "gmdx.trials.outcome": ("Outcome",),
+    "gmdx.trials.protocol": ("TrialConfig",),
+    "gmdx.trials.results": ("Snapshot", "TrialResults"),
+    "gmdx.trials.run": ("run_trials",),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, from the module that defines it."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'gmdx' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

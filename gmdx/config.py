@@ -1,9 +1,10 @@
 """Configuration files: TOML in, frozen dataclasses out, unknown keys refused by name."""
 
+import ast
 import dataclasses
 import inspect
 import json
-import re
+import textwrap
 import tomllib
 import types
 from collections.abc import Iterator, Mapping
@@ -124,7 +125,10 @@ def as_toml(config: Any, *, where: str = "") -> str:
             tables.append(as_toml(value, where=f"{where}.{field.name}" if where else field.name))
             continue
         text = f"# {field.name} =" if value is None else f"{field.name} = {_toml_value(value)}"
-        comment = comments.get(field.name)
+        comment = comments.get(field.name, "")
+        if len(text) + len(comment) > 95:
+            lines += [f"# {line}" for line in textwrap.wrap(comment, 97)]
+            comment = ""
         lines.append(f"{text}  # {comment}" if comment else text)
     header = [f"[{where}]"] if where else []
     return "\n\n".join(["\n".join([*header, *lines]), *tables])
@@ -140,9 +144,21 @@ def _toml_value(value: Any) -> str:
 
 
 def _comments(cls: type) -> dict[str, str]:
-    """What stands behind each field in the source of a dataclass: its unit and meaning."""
-    pattern = re.compile(r"^\s+(\w+)\s*:[^#]*#\s*(.+)$", re.MULTILINE)
-    return dict(pattern.findall(inspect.getsource(cls)))
+    """What stands behind or below each field in the source of a dataclass: its meaning."""
+    source = textwrap.dedent(inspect.getsource(cls))
+    lines = source.splitlines()
+    found: dict[str, str] = {}
+    body = ast.parse(source).body[0].body  # type: ignore[attr-defined]
+    for statement, following in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
+            continue
+        behind = lines[statement.end_lineno - 1].encode()[statement.end_col_offset :].decode()  # type: ignore[operator]
+        below = getattr(getattr(following, "value", None), "value", None)
+        if "#" in behind:
+            found[statement.target.id] = behind.split("#", 1)[1].split("#")[0].strip()
+        elif isinstance(following, ast.Expr) and isinstance(below, str):
+            found[statement.target.id] = " ".join(below.split())
+    return found
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], *, where: str = "") -> list[str]:

@@ -5,7 +5,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any, Generic, TypeVar
@@ -60,7 +60,7 @@ def available_cores() -> int:
 
 def run_tasks(
     function: Callable[[TaskT], ResultT], tasks: Iterable[TaskT], *, workers: int
-) -> Iterator[Finished[TaskT, ResultT]]:
+) -> Generator[Finished[TaskT, ResultT], None, None]:
     """Run `function` on every task and yield the results as they come.
 
     Args:

@@ -169,7 +169,7 @@ class Dataset:
 
     def _folder(self, object_id: str) -> Path:
         folder = self.root / schema.OBJECTS_FOLDER / object_id
-        if object_id not in self.objects:
+        if Path(object_id).name != object_id or object_id in ("", "..") or not folder.is_dir():
             known = ", ".join(self.objects[:8]) + (", ..." if len(self.objects) > 8 else "")
             raise DatasetError(f"{self.root} has no object {object_id!r}; it has: {known}")
         return folder

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import pyarrow as pa
 
 from gmdx.metrics.table import METRICS
+from gmdx.trials.outcome import Outcome
 
 SCHEMA_VERSION = 1
 
@@ -56,6 +57,7 @@ class Column:
         )
 
 
+OUTCOMES = tuple(outcome.label for outcome in Outcome)
 IDENTITY = (
     Column("object_id", pa.string(), "", "object, the name of its folder"),
     Column("scene_id", pa.int32(), "", "scene of the object"),
@@ -73,7 +75,20 @@ METRIC_COLUMNS = tuple(
            f"{metric.definition}")
     for metric in METRICS
 )  # fmt: skip
-COLUMNS = (*IDENTITY, *GRASP, *METRIC_COLUMNS)
+BOUNDS = tuple(
+    Column(f"{metric.name}_{side}", pa.float64(), metric.unit, f"proven {side} bound of "
+           f"{metric.name}")
+    for metric in METRICS if metric.stage == "epsilon" for side in ("lower", "upper")
+)  # fmt: skip
+OUTCOME = (
+    Column("force_is_lower_bound", pa.bool_(), "", "whether the push ended before the object came "
+           "out, so that force is a lower bound"),
+    Column("valid_trials", pa.int32(), "", "trials that did not diverge: what sim_success and "
+           "sim_coll are shares of"),
+    Column("outcome", pa.string(), "", f"of the nominal trial: {', '.join(OUTCOMES)}"),
+    Column("outcomes", pa.list_(pa.string()), "", "of every trial; the first is the nominal one"),
+)  # fmt: skip
+COLUMNS = (*IDENTITY, *GRASP, *METRIC_COLUMNS, *BOUNDS, *OUTCOME)
 SCHEMA = pa.schema(
     [column.field for column in COLUMNS], metadata={"gmdx_schema_version": str(SCHEMA_VERSION)}
 )

@@ -84,6 +84,11 @@ class ObjectWriter:
             }
         )
 
+    @property
+    def grasps(self) -> int:
+        """Grasps written so far."""
+        return sum(scene["grasps"] for scene in self._scenes)
+
     def close(self, *, failures: Sequence[Failure], cost: Mapping[str, Any]) -> None:
         """Write what belongs to the whole object; the folder is complete after this.
 
@@ -151,7 +156,8 @@ def rows(scene: Scene, grasps: PlanarGrasp, columns: Mapping[str, Array]) -> pa.
             f"the columns do not fit the schema: missing {sorted(names - set(values))}, "
             f"unknown {sorted(set(values) - names)}"
         )
-    arrays = [pa.array(values[field.name], type=field.type) for field in schema.SCHEMA]
+    arrays = [pa.array(list(values[f.name]), type=f.type) if pa.types.is_list(f.type)
+              else pa.array(values[f.name], type=f.type) for f in schema.SCHEMA]  # fmt: skip
     return pa.Table.from_arrays(arrays, schema=schema.SCHEMA)
 
 

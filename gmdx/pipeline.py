@@ -1,0 +1,300 @@
+"""The stages in a row: objects in, an annotated dataset out. Composes; holds no mathematics."""
+
+import contextlib
+import hashlib
+import logging
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gmdx.arrays import Array
+from gmdx.config import as_dict
+from gmdx.dataset.costs import Costs
+from gmdx.dataset.schema import Failure
+from gmdx.dataset.store import DatasetStore, OutputError, StorageError
+from gmdx.dataset.write import ObjectWriter
+from gmdx.errors import ConfigError, GmdxError, SceneError
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.grasps.sample import SAMPLERS, SampleConfig, sample_grasps
+from gmdx.metrics.compute import MetricConfig, compute_metrics
+from gmdx.objects.catalog import ObjectSource, resolve
+from gmdx.objects.model import ObjectModel
+from gmdx.objects.prepare import PrepareConfig, prepare
+from gmdx.scenes.build import PhysicsConfig
+from gmdx.scenes.camera import CameraConfig, render
+from gmdx.scenes.gripper import DEFAULT_GRIPPER, Gripper, load_gripper
+from gmdx.scenes.scene import Scene
+from gmdx.scenes.settle import SettleConfig, settle
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.run import BACKENDS, run_trials
+from gmdx.workers import Crash, run_tasks
+
+logger = logging.getLogger("gmdx")
+
+# Packages whose version can change a result: a dataset is made with one version of each.
+PACKAGES = (
+    "gmdx", "clarabel", "coacd", "fast-simplification", "manifold3d", "mujoco", "numpy",
+    "pyarrow", "scipy", "trimesh",
+)  # fmt: skip
+LABELS = np.array([outcome.label for outcome in Outcome], dtype=object)
+_WITHOUT_EFFECT = ("workers", "batch", "cache")  # on results
+
+
+@dataclass(frozen=True)
+class GenerateConfig:
+    """A run of the whole pipeline."""
+
+    grasps: int = 64  # per scene
+    scenes: int = 2  # per object, each from a random orientation
+    trials: int = 5  # per grasp: the nominal one, and the rest with pose noise
+    seed: int = 0  # of every random number
+    gripper: str = DEFAULT_GRIPPER  # a shipped gripper's name, or the path of a description
+    sampler: str = "dense"  # how grasps are proposed: dense or antipodal
+    backend: str = "mujoco"  # what runs the trials
+    workers: int = 1  # processes; 1 is this process. Without effect on results
+    batch: int = 256  # grasps simulated together: memory against speed. Without effect on results
+    cache: Path | None = None  # folder of prepared objects; none by default
+    prepare: PrepareConfig = field(default_factory=PrepareConfig)
+    settle: SettleConfig = field(default_factory=SettleConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    sample: SampleConfig = field(default_factory=SampleConfig)
+    trial: TrialConfig = field(default_factory=TrialConfig)
+    metric: MetricConfig = field(default_factory=MetricConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("grasps", "scenes", "trials", "workers", "batch"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name, value, known in (
+            ("sampler", self.sampler, SAMPLERS),
+            ("backend", self.backend, tuple(BACKENDS)),
+        ):
+            if value not in known:
+                raise ConfigError(f"unknown {name} {value!r}; give one of {', '.join(known)}")
+        if self.trial.trials not in (TrialConfig().trials, self.trials):
+            raise ConfigError("set `trials` of the whole run, not of [trial]")
+        if self.settle.physics not in (PhysicsConfig(), self.trial.physics):
+            raise ConfigError("set [trial.physics], which settling shares, not [settle.physics]")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands, after each object."""
+
+    object_id: str  # the object that was finished last; "" at the start
+    done: int  # objects finished in this run
+    total: int  # objects to do in this run
+    grasps: int  # annotated in this run
+    failures: tuple[Failure, ...]  # of that object
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a finished run came to."""
+
+    root: Path
+    requested: int  # objects that the specifications name
+    produced: int  # by this run
+    present: int  # already there
+    failed: int  # objects without a folder
+    counts: Mapping[str, int]  # of the whole dataset: objects, scenes, grasps, failures
+
+
+@dataclass(frozen=True)
+class _Task:
+    source: ObjectSource
+    folder: Path
+    gripper: Gripper
+    config: GenerateConfig
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    produced: bool
+    grasps: int
+    failures: tuple[Failure, ...]
+
+
+def generate(
+    objects: Sequence[str | Path] | str | Path,
+    out: str | Path,
+    config: GenerateConfig | None = None,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Summary:
+    """Annotate objects into a dataset; with the same arguments, continue one.
+
+    Args:
+        objects: `bundled`, files, folders, globs, or `pybullet:random_urdfs[:N]`.
+        out: Folder of the dataset.
+        config: What to do; see `GenerateConfig`.
+        on_progress: Called at the start and after each object.
+
+    Returns:
+        What was produced. An object that fails costs nothing but itself: its line in
+        `failures.jsonl` says why.
+
+    Raises:
+        UsageError: The objects, the gripper, the options or the folder do not work.
+        DatasetError: The disk refused a write; what is complete stays.
+    """
+    config = GenerateConfig() if config is None else config
+    specs = [objects] if isinstance(objects, str | Path) else list(objects)
+    sources = resolve([str(spec) for spec in specs])
+    gripper = load_gripper(config.gripper)
+    failures: list[Failure] = []
+    grasps = produced = 0
+
+    with DatasetStore(out, _header(config, gripper)) as store:
+        present = store.complete()
+        for source in sources:
+            if source.object_id in present:
+                _refuse_another(store, source)
+        todo = [source for source in sources if source.object_id not in present]
+
+        def report(object_id: str, done: int, failures: tuple[Failure, ...]) -> None:
+            if on_progress is not None:
+                on_progress(Progress(object_id, done, len(todo), grasps, failures))
+
+        report("", 0, ())
+        tasks = (_Task(s, store.partial(s.object_id), gripper, config) for s in todo)
+        workers = min(config.workers, max(len(todo), 1))
+        with contextlib.closing(run_tasks(_annotate, tasks, workers=workers)) as finished:
+            for done, item in enumerate(finished, start=1):
+                object_id = item.task.source.object_id
+                outcome = _lost(object_id, item.result) if isinstance(item.result, Crash) else (
+                    item.result
+                )  # fmt: skip
+                if outcome.produced:
+                    store.publish(object_id)
+                    produced += 1
+                    grasps += outcome.grasps
+                else:
+                    store.discard(object_id)
+                    failures += outcome.failures
+                store.record(outcome.failures)
+                report(object_id, done, outcome.failures)
+        counts = store.finish(failures, sources={source.object_id for source in sources})
+    return Summary(
+        root=Path(out),
+        requested=len(sources),
+        produced=produced,
+        present=len(sources) - len(todo),
+        failed=len(todo) - produced,
+        counts=counts,
+    )
+
+
+def _annotate(task: _Task) -> _Outcome:
+    """Run every stage on one object, and write its folder."""
+    config, object_id = task.config, task.source.object_id
+    costs = Costs()
+    failures: list[Failure] = []
+    try:
+        with costs.stage("prepare"):
+            obj = prepare(task.source, config=config.prepare, cache=config.cache)
+            writer = ObjectWriter(task.folder, obj)
+        costs.add_prepared(obj.report["seconds"])
+        for scene_id in range(config.scenes):
+            try:
+                _annotate_scene(obj, scene_id, writer, costs, task)
+            except StorageError:
+                raise
+            except Exception as error:
+                failures.append(_failure(object_id, scene_id, costs.current, error))
+        if len(failures) == config.scenes:
+            raise SceneError(f"none of the {config.scenes} scenes could be annotated")
+        with costs.stage("write"):
+            writer.close(failures=failures, cost=costs.as_json())
+    except StorageError:
+        raise
+    except Exception as error:
+        failures.append(_failure(object_id, None, costs.current, error))
+        return _Outcome(produced=False, grasps=0, failures=tuple(failures))
+    return _Outcome(produced=True, grasps=writer.grasps, failures=tuple(failures))
+
+
+def _annotate_scene(
+    obj: ObjectModel,
+    scene_id: int,
+    writer: ObjectWriter,
+    costs: Costs,
+    task: _Task,
+) -> None:
+    """One scene: rest, images, grasps, trials and metrics."""
+    config = task.config
+    with costs.stage("settle"):
+        falling = replace(config.settle, physics=config.trial.physics)
+        scene = settle(obj, config.seed, scene_id=scene_id, config=falling)
+    with costs.stage("render"):
+        views = range(config.camera.views)
+        images = [render(scene, view=view, config=config.camera) for view in views]
+    with costs.stage("sample"):
+        grasps = sample_grasps(
+            scene,
+            config.grasps,
+            config.seed,
+            sampler=config.sampler,
+            gripper=task.gripper,
+            config=config.sample,
+        )
+    writer.write_scene(scene, images, _batches(scene, grasps, costs, task))
+
+
+def _batches(
+    scene: Scene, grasps: PlanarGrasp, costs: Costs, task: _Task
+) -> Iterator[tuple[PlanarGrasp, Mapping[str, Array]]]:
+    """Grasps with their columns, a batch at a time, so that memory does not grow with them."""
+    config = task.config
+    for start in range(0, len(grasps), config.batch):
+        batch = grasps[start : start + config.batch]
+        with costs.stage("trials"):
+            trials = run_trials(
+                scene,
+                batch,
+                config.backend,
+                trials=config.trials,
+                gripper=task.gripper,
+                config=config.trial,
+            )
+        with costs.stage("metrics"):
+            table = compute_metrics(
+                scene, batch, trials, gripper=task.gripper, config=config.metric
+            )
+        costs.add_batch(trials, table.cost)
+        with costs.stage("write"):
+            yield batch, {**table.values, **table.extra, "outcomes": LABELS[table.outcomes]}
+
+
+def _failure(object_id: str, scene_id: int | None, stage: str, error: Exception) -> Failure:
+    """An error as a line of `failures.jsonl`; one that nobody foresaw says where it arose."""
+    message = str(error)
+    if not isinstance(error, GmdxError):
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        message = f"{message} ({Path(frame.filename).name}:{frame.lineno})"
+        logger.debug("object %s failed in %s", object_id, stage, exc_info=error)
+    return Failure(object_id, scene_id, stage, type(error).__name__, message)
+
+
+def _lost(object_id: str, crash: Crash) -> _Outcome:
+    """The outcome of an object whose worker process died."""
+    failure = Failure(object_id, None, "worker", "WorkerCrash", str(crash))
+    return _Outcome(produced=False, grasps=0, failures=(failure,))
+
+
+def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
+    """Everything that results depend on besides the objects."""
+    digest = hashlib.sha256(repr(gripper).encode()).hexdigest()
+    return {
+        "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
+        "gripper": {"name": gripper.name, "sha256": digest},
+        "seed": config.seed,
+        "backend": config.backend,
+        "packages": {name: version(name) for name in PACKAGES},
+    }

@@ -1,0 +1,72 @@
+"""A dataset written from hand-made values, for tests of the files alone."""
+
+from pathlib import Path
+
+import numpy as np
+
+from gmdx.dataset import schema
+from gmdx.dataset.schema import Failure
+from gmdx.dataset.store import DatasetStore
+from gmdx.dataset.write import ObjectWriter
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.scenes.camera import CameraConfig, render
+from gmdx.scenes.scene import Scene
+from tests.support import box_object, resting_scene
+
+HEADER = {"seed": 3, "configuration": {"grasps": 10, "trial": {"step": 0.004}}}
+CAMERA = CameraConfig(width=32, height=24, views=2)
+
+
+def scene_of(object_id: str, scene_id: int = 0) -> Scene:
+    obj = box_object((0.04, 0.05, 0.06), object_id=object_id)
+    return resting_scene(obj, yaw=0.1 * scene_id, scene_id=scene_id, seed=3)
+
+
+def grasps_of(n: int) -> PlanarGrasp:
+    rng = np.random.default_rng(n)
+    return PlanarGrasp(
+        np.arange(n), rng.normal(size=(n, 3)), rng.uniform(0, np.pi, n), rng.uniform(0, 0.08, n)
+    )
+
+
+def columns_of(grasps: PlanarGrasp) -> dict[str, np.ndarray]:
+    """Values for every column past the grasp: each a different function of the grasp's id."""
+    made = {}
+    for k, column in enumerate(schema.COLUMNS[8:]):
+        values = grasps.grasp_id * 100.0 + k
+        if str(column.type) == "string":
+            made[column.name] = np.array([f"v{v:.0f}" for v in values], dtype=object)
+        elif column.name == "outcomes":
+            made[column.name] = np.array([[f"w{v:.0f}", "w"] for v in values], dtype=object)
+        elif str(column.type) == "bool":
+            made[column.name] = grasps.grasp_id % 2 == 0
+        else:
+            made[column.name] = values.astype(column.type.to_pandas_dtype())
+    return made
+
+
+def write_object(
+    folder: Path, object_id: str, *, grasps: int = 10, scenes: int = 2, batch: int = 4
+) -> None:
+    first = scene_of(object_id)
+    writer = ObjectWriter(folder, first.object)
+    for scene_id in range(scenes):
+        scene = scene_of(object_id, scene_id)
+        images = [render(scene, view=view, config=CAMERA) for view in range(CAMERA.views)]
+        every = grasps_of(grasps)
+        parts = (every[i : i + batch] for i in range(0, grasps, batch))
+        writer.write_scene(scene, images, ((part, columns_of(part)) for part in parts))
+    writer.close(
+        failures=[Failure(object_id, scenes, "settle", "SceneError", "it rolled away")],
+        cost={"wall_seconds": {"settle": 1.0}},
+    )
+
+
+def write_dataset(root: Path, *object_ids: str) -> None:
+    with DatasetStore(root, HEADER) as store:
+        for object_id in object_ids:
+            write_object(store.partial(object_id), object_id)
+            store.publish(object_id)
+        failure = Failure("cup", None, "prepare", "MeshError", "no faces")
+        store.record([failure])
+        store.finish([failure], sources={*object_ids, "cup"})

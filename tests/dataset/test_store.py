@@ -1,0 +1,200 @@
+"""The dataset's folder: atomic, resumable, and the same bytes for the same content."""
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gmdx.dataset import files, store, write
+from gmdx.dataset.schema import Failure
+from gmdx.dataset.store import PARTIAL, DatasetStore, OutputError, StorageError, read_failures
+from gmdx.errors import DatasetError
+from tests.dataset.hand_built import (
+    HEADER,
+    columns_of,
+    grasps_of,
+    scene_of,
+    write_dataset,
+    write_object,
+)
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+def test_same_content_gives_same_bytes(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "a", "mug", "bowl")
+    write_dataset(tmp_path / "b", "bowl", "mug")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert not (tmp_path / "a" / PARTIAL).exists()
+
+
+def test_bytes_do_not_depend_on_batches(tmp_path: Path) -> None:
+    for batch in (1, 999, 4096, 9001):
+        write_object(tmp_path / str(batch), "mug", grasps=9001 if batch > 1 else 3, batch=batch)
+    one, two, three = (contents(tmp_path / name) for name in ("999", "4096", "9001"))
+    assert one == two == three
+
+
+def test_what_a_killed_run_left_is_removed_and_the_rest_stays(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    write_dataset(tmp_path / "whole", "mug", "bowl")
+    with DatasetStore(root, HEADER) as kept:
+        write_object(kept.partial("mug"), "mug")
+        kept.publish("mug")
+    left = root / PARTIAL / "objects" / "bowl"
+    left.mkdir(parents=True)
+    (left / "mesh.ply").write_bytes(b"ply, and then the power went")
+    with DatasetStore(root, HEADER) as kept:
+        assert kept.complete() == {"mug"}
+        assert not left.exists()
+        write_object(kept.partial("bowl"), "bowl")
+        kept.publish("bowl")
+        failure = Failure("cup", None, "prepare", "MeshError", "no faces")
+        kept.finish([failure], sources={"mug", "bowl", "cup"})
+    assert contents(root) == contents(tmp_path / "whole")
+
+
+def test_a_new_folder_killed_before_its_header_can_be_taken_up(tmp_path: Path) -> None:
+    (tmp_path / PARTIAL).mkdir()
+    (tmp_path / "objects").mkdir()
+    with DatasetStore(tmp_path, HEADER):
+        assert json.loads((tmp_path / "dataset.json").read_text())["status"] == "running"
+
+
+def test_scene_failures_of_produced_objects_survive_a_restart(tmp_path: Path) -> None:
+    write_dataset(tmp_path, "mug")
+    with DatasetStore(tmp_path, HEADER) as again:
+        counts = again.finish([], sources={"mug"})
+    assert [(f.object_id, f.scene_id) for f in read_failures(tmp_path)] == [
+        ("cup", None),  # of the earlier run, which this one was not asked to repeat
+        ("mug", 2),
+    ]
+    assert counts == {"objects": 1, "scenes": 2, "grasps": 20, "failures": 2}
+
+
+def test_a_failure_that_was_mended_is_forgotten(tmp_path: Path) -> None:
+    write_dataset(tmp_path, "mug")
+    with DatasetStore(tmp_path, HEADER) as again:
+        write_object(again.partial("cup"), "cup")
+        again.publish("cup")
+        again.finish([], sources={"mug", "cup"})
+    assert {f.scene_id for f in read_failures(tmp_path)} == {2}
+
+
+def test_another_configuration_is_refused_by_name(tmp_path: Path) -> None:
+    write_dataset(tmp_path, "mug")
+    before = contents(tmp_path)
+    changed = {"seed": 3, "configuration": {"grasps": 10, "trial": {"step": 0.002}}}
+    with pytest.raises(OutputError, match=r"configuration\.trial\.step: 0\.004 -> 0\.002"):
+        DatasetStore(tmp_path, changed)
+    with pytest.raises(OutputError, match="seed: 3 -> 4"):
+        DatasetStore(tmp_path, {**HEADER, "seed": 4})
+    assert contents(tmp_path) == before
+    DatasetStore(tmp_path, HEADER).close()  # and the lock is free again
+
+
+def test_a_foreign_folder_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(OutputError, match=r"thesis\.tex"):
+        DatasetStore(tmp_path, HEADER)
+    assert contents(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(OutputError, match="cannot use"):
+        DatasetStore(tmp_path / "out", HEADER)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(DatasetError, match="Permission denied"):
+            DatasetStore(tmp_path / "out", HEADER)
+        with pytest.raises(DatasetError, match="Permission denied"):
+            DatasetStore(tmp_path, HEADER)
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_two_runs_cannot_write_one_folder(tmp_path: Path) -> None:
+    with (
+        DatasetStore(tmp_path, HEADER),
+        pytest.raises(OutputError, match="another run"),
+    ):
+        DatasetStore(tmp_path, HEADER)
+    DatasetStore(tmp_path, HEADER).close()
+
+
+@pytest.mark.parametrize("module", [files, write])
+def test_a_full_disk_is_named_and_leaves_nothing(
+    tmp_path: Path, module: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The n-th wait for the disk fails, whichever file that is about."""
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with DatasetStore(tmp_path, HEADER) as kept:
+        monkeypatch.setattr(module.os, "fsync", full)  # type: ignore[attr-defined]
+        with pytest.raises(StorageError, match=r"No space left on device; free some space"):
+            write_object(kept.partial("mug"), "mug")
+        with pytest.raises(StorageError):
+            kept.finish([], sources=set())
+        monkeypatch.undo()
+    assert not (tmp_path / PARTIAL).exists()
+    assert not list((tmp_path / "objects").iterdir())
+    assert json.loads((tmp_path / "dataset.json").read_text())["status"] == "running"
+
+
+def test_a_scene_that_fails_half_way_leaves_no_rows(tmp_path: Path) -> None:
+    scene = scene_of("mug")
+    writer = write.ObjectWriter(tmp_path / "mug", scene.object)
+
+    def batches():  # type: ignore[no-untyped-def]
+        yield grasps_of(5), columns_of(grasps_of(5))
+        raise ValueError("diverged")
+
+    with pytest.raises(ValueError, match="diverged"):
+        writer.write_scene(scene, [], batches())
+    assert writer.grasps == 0
+    assert not list((tmp_path / "mug").iterdir())
+
+
+def test_columns_must_fit_the_schema(tmp_path: Path) -> None:
+    grasps = grasps_of(2)
+    columns = columns_of(grasps)
+    columns["colour"] = columns.pop("force")
+    with pytest.raises(DatasetError, match=r"missing \['force'\], unknown \['colour'\]"):
+        write.rows(scene_of("mug"), grasps, columns)
+
+
+def test_damage_in_failures_is_named_but_a_cut_last_line_is_not_damage(tmp_path: Path) -> None:
+    path = tmp_path / store.schema.FAILURES_FILE
+    line = store._line(Failure("cup", 1, "settle", "SceneError", "it rolled"))
+    path.write_text(line + line[:20])
+    assert len(read_failures(tmp_path)) == 1
+    path.write_text("garbage\n" + line)
+    with pytest.raises(DatasetError, match="line 1"):
+        read_failures(tmp_path)
+
+
+def test_ply_reads_back_exactly_here_and_elsewhere(tmp_path: Path) -> None:
+    import trimesh
+
+    rng = np.random.default_rng(0)
+    mesh = trimesh.creation.icosphere(subdivisions=1)
+    vertices = np.asarray(mesh.vertices) + rng.normal(scale=1e-3, size=mesh.vertices.shape)
+    files.write_ply(tmp_path / "m.ply", vertices, np.asarray(mesh.faces, np.int64))
+    read, faces = files.read_ply(tmp_path / "m.ply")
+    np.testing.assert_array_equal(read, vertices)
+    np.testing.assert_array_equal(faces, mesh.faces)
+    other = trimesh.load_mesh(tmp_path / "m.ply", process=False)
+    np.testing.assert_array_equal(other.vertices, vertices)
+    np.testing.assert_array_equal(other.faces, mesh.faces)
