@@ -1,0 +1,301 @@
+"""Make a closed, outward-facing surface of whatever triangles a file holds, and say how."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import fast_simplification
+import numpy as np
+import trimesh
+
+from gmdx.arrays import Array, Float, Int
+from gmdx.errors import MeshError
+from gmdx.objects.fidelity import SurfaceIndex, surface_samples
+from gmdx.objects.holes import fill_holes
+from gmdx.objects.mesh import (
+    as_trimesh,
+    check_triangles,
+    edge_counts,
+    is_closed,
+    is_consistent,
+    merge_vertices,
+    patches,
+)
+from gmdx.objects.solid import from_manifold, thicken, to_manifold
+from gmdx.objects.winding import consistent_faces, misfit, signed_volumes, winding_number
+from gmdx.rng import generator
+
+
+@dataclass(frozen=True)
+class RepairConfig:
+    """Bounds of the repairs. Lengths are shares of the mesh's bounding-box diagonal."""
+
+    merge: float = 1e-6  # vertices as close as this are one
+    hole: float = 0.15  # widest hole that is filled; wider ones are openings of a hollow object
+    shell: float = 0.01  # thickness given to surfaces that are open on both sides
+    debris: float = 5e-4  # volume of a separate part / whole, below which it is dropped
+    flap: float = 0.01  # area of a loose flap / whole, below which it is dropped
+    misfit: float = 0.02  # share of the surface that may not part inside from outside
+    max_faces: int = 20_000  # above this, the surface is simplified
+    max_deviation: float = 1e-3  # bound on the move of the surface in that simplification
+    max_open_faces: int = 6_000  # of a surface that is not closed, before it is made solid
+
+
+@dataclass(frozen=True)
+class RepairStep:
+    """One change to the mesh, with its numbers."""
+
+    name: str
+    detail: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RepairedMesh:
+    """A closed surface facing outward, and what was done to get it."""
+
+    mesh: trimesh.Trimesh
+    steps: tuple[RepairStep, ...]
+    watertight_source: bool  # the source was closed once its vertices were merged
+    misfit: float  # share of the surface that does not part inside from outside
+    bodies: int  # separate closed parts
+
+
+@dataclass
+class _Work:
+    """A mesh under repair."""
+
+    vertices: Array
+    faces: Array
+    steps: list[RepairStep]
+
+    def done(self, name: str, **detail: Any) -> None:
+        self.steps.append(RepairStep(name, detail))
+
+
+def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> RepairedMesh:
+    """Close a mesh: merge, clean, orient, fill small holes, and make solid what is still open.
+
+    Raises:
+        MeshError: No closed surface with a volume can be made of it.
+    """
+    config = RepairConfig() if config is None else config
+    work = _Work(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64), [])
+    check_triangles("mesh", work.vertices, work.faces)
+    diagonal = _diagonal(work.vertices[np.unique(work.faces)])
+    _clean(work, tolerance=config.merge * diagonal)
+    check_triangles("mesh after merging equal vertices", work.vertices, work.faces)
+    watertight_source = is_closed(work.faces)
+    if not watertight_source:
+        _drop_flaps(work, share=config.flap)
+        filled = fill_holes(work.vertices, work.faces, widest=config.hole * diagonal)
+        if filled.holes:
+            work.faces = filled.faces
+            work.done("fill holes", holes=filled.holes, widest=filled.widest)
+    faces, turned = consistent_faces(work.faces)
+    if turned.any() and is_closed(faces) and is_consistent(faces):
+        work.faces = faces
+        work.done("turn faces to agree", faces=int(turned.sum()))
+    if not _closed_parts(work, config=config):
+        _make_solid(work, thickness=config.shell * diagonal, config=config)
+    if len(work.faces) > config.max_faces:
+        _simplify(work, config=config, diagonal=diagonal)
+    volume = float(signed_volumes(work.vertices, work.faces, np.zeros(len(work.faces), int))[0])
+    if volume <= 1e-9 * diagonal**3:
+        raise MeshError(
+            f"the closed surface encloses no volume ({volume:.3g} for a diagonal of {diagonal:.3g})"
+        )
+    return RepairedMesh(
+        mesh=as_trimesh(work.vertices, work.faces),
+        steps=tuple(work.steps),
+        watertight_source=watertight_source,
+        misfit=misfit(work.vertices, work.faces),
+        bodies=int(patches(work.faces).max()) + 1,
+    )
+
+
+def _clean(work: _Work, *, tolerance: float) -> None:
+    """Merge vertices; drop faces without area or that are there twice."""
+    before = len(np.unique(work.faces))
+    work.vertices, work.faces = merge_vertices(work.vertices, work.faces, tolerance=tolerance)
+    if len(work.vertices) != before:
+        work.done("merge vertices", before=before, after=len(work.vertices))
+    a, b, c = work.faces.T
+    proper = (a != b) & (b != c) & (c != a)
+    if not proper.all():
+        work.faces = work.faces[proper]
+        work.done("drop collapsed faces", faces=int((~proper).sum()))
+    _, first, same, count = np.unique(
+        np.sort(work.faces, axis=1), axis=0, return_index=True, return_inverse=True,
+        return_counts=True,
+    )  # fmt: skip
+    if (count > 1).any():
+        once = work.faces[np.sort(first)]
+        single = work.faces[count[same.ravel()] == 1]  # a fold of no thickness vanishes whole
+        kept = single if len(single) > 3 and is_closed(single) else once
+        work.done("drop faces that are there twice", faces=len(work.faces) - len(kept))
+        work.faces = kept
+
+
+def _drop_flaps(work: _Work, *, share: float) -> None:
+    """Drop small patches that hang loose: they end in the open, or on the rest at one edge."""
+    label = patches(work.faces)
+    loose = np.bincount(label, (edge_counts(work.faces) == 1).any(axis=1)) > 0
+    area = as_trimesh(work.vertices, work.faces).area_faces
+    drop = (loose & (np.bincount(label, area) < share * area.sum()))[label]
+    if drop.any() and not drop.all():
+        work.faces = work.faces[~drop]
+        work.done(
+            "drop loose flaps",
+            faces=int(drop.sum()),
+            area_share=float(area[drop].sum() / area.sum()),
+        )
+
+
+def _closed_parts(work: _Work, *, config: RepairConfig) -> bool:
+    """Face closed parts outward and unite them; False if that gives no proper solid."""
+    if not (is_closed(work.faces) and is_consistent(work.faces)):
+        return False
+    label = patches(work.faces)
+    volumes = signed_volumes(work.vertices, work.faces, label)
+    keep = np.abs(volumes) >= config.debris * np.abs(volumes).max()
+    faces = work.faces[keep[label]]
+    label = np.unique(label[keep[label]], return_inverse=True)[1]
+    volumes = volumes[keep]
+    signs, depths = _nesting(work.vertices, faces, label, volumes)
+    turned = (signs * volumes < 0)[label]
+    faces[turned] = faces[turned][:, ::-1]
+    vertices = work.vertices
+    steps: list[RepairStep] = []
+    if not keep.all():
+        lost = float(np.abs(signed_volumes(vertices, work.faces, patches(work.faces)))[~keep].sum())
+        share = lost / float(np.abs(volumes).sum())
+        steps.append(
+            RepairStep("drop debris", {"parts": int((~keep).sum()), "volume_share": share})
+        )
+    if turned.any():
+        steps.append(RepairStep("turn inside-out parts", {"faces": int(turned.sum())}))
+    if len(volumes) > 1:
+        if not _valid(vertices, faces):
+            return False
+        order = np.argsort(-np.abs(volumes), kind="stable")
+        solid = to_manifold(vertices, faces[label == order[0]])
+        for part in order[1:]:
+            piece = faces[label == part]
+            if signs[part] > 0:
+                solid = solid + to_manifold(vertices, piece)
+            else:
+                solid = solid - to_manifold(vertices, piece[:, ::-1])
+        vertices, faces = from_manifold(solid)
+        detail = {"parts": len(volumes), "voids": int((signs < 0).sum()),
+                  "inside_others": int((depths > 0).sum())}  # fmt: skip
+        steps.append(RepairStep("unite parts", detail))
+    wrong = misfit(vertices, faces) if len(faces) else 1.0
+    if wrong > config.misfit:
+        work.done("found self-intersection", area_share=wrong)
+        return False
+    used, compact = np.unique(faces, return_inverse=True)
+    work.vertices, work.faces = vertices[used], compact.reshape(-1, 3)
+    work.steps.extend(steps)
+    return True
+
+
+def _nesting(
+    vertices: Array, faces: Array, label: Array, volumes: Array
+) -> tuple[Int[Array, "k"], Int[Array, "k"]]:
+    """For each closed part, +1 (matter) or -1 (a void in matter), and in how many others it is.
+
+    From the largest part to the smallest: what is in no matter is matter; what is inside matter
+    is a void if it is wound against the part around it.
+    """
+    signs, depths = np.ones(len(volumes), int), np.zeros(len(volumes), int)
+    parts = [vertices[faces[label == k]] for k in range(len(volumes))]
+    low = np.array([p.min(axis=(0, 1)) for p in parts])
+    high = np.array([p.max(axis=(0, 1)) for p in parts])
+    order = np.argsort(-np.abs(volumes), kind="stable")
+    for place, k in enumerate(order):
+        probe = parts[k][:: max(1, len(parts[k]) // 8), 0]
+        total, container = 0.0, -1
+        for j in order[:place]:
+            if (low[j] > low[k]).any() or (high[j] < high[k]).any():
+                continue
+            inside = float(np.abs(winding_number(probe, parts[j])).min())
+            if inside > 0.5:
+                depths[k] += 1
+                total += signs[j]
+                container = j
+        if total > 0:  # in matter: its winding, relative to what is around it, decides
+            flipped = signs[container] * volumes[container] < 0
+            signs[k] = 1 if (volumes[k] > 0) != flipped else -1
+    return signs, depths
+
+
+def _valid(vertices: Array, faces: Array) -> bool:
+    return not to_manifold(vertices, faces).is_empty()
+
+
+def _make_solid(work: _Work, *, thickness: float, config: RepairConfig) -> None:
+    """Replace a surface that is not closed by a solid."""
+    if len(work.faces) > config.max_open_faces:
+        dense = work.vertices, work.faces
+        points, faces = fast_simplification.simplify(
+            work.vertices, work.faces, target_count=config.max_open_faces
+        )
+        work.vertices, work.faces = np.asarray(points, float), np.asarray(faces, np.int64)
+        work.done(
+            "simplify open surface",
+            before=len(dense[1]),
+            after=len(work.faces),
+            deviation=_deviation(*dense, work.vertices, work.faces),
+        )
+    area = as_trimesh(work.vertices, work.faces).area_faces
+    kept = work.faces[area > 1e-10 * area.max()]
+    open_edges = int((edge_counts(kept) == 1).sum())
+    crowded_edges = int((edge_counts(kept) > 2).sum())
+    solid = thicken(work.vertices, kept, thickness=thickness)
+    work.vertices, work.faces = solid.vertices, solid.faces
+    work.done(
+        "make solid",
+        open_edges=open_edges,
+        edges_of_many_faces=crowded_edges,
+        filled_spaces=solid.filled,
+        shell_share=solid.sheet_share,
+        shell_thickness=thickness,
+    )
+
+
+def _simplify(work: _Work, *, config: RepairConfig, diagonal: float) -> None:
+    """Fewer faces; no point of the surface moves by more than the bound."""
+    solid = to_manifold(work.vertices, work.faces)
+    if solid.is_empty():
+        raise MeshError(f"the surface of {len(work.faces)} faces is closed but not manifold")
+    before, volume = len(work.faces), float(solid.volume())
+    tolerance = config.max_deviation * diagonal / 64
+    simple = solid.simplify(tolerance)
+    while simple.num_tri() > config.max_faces and tolerance < config.max_deviation * diagonal:
+        tolerance *= 2
+        simple = solid.simplify(tolerance)
+    dense = work.vertices, work.faces
+    work.vertices, work.faces = from_manifold(simple)
+    work.done(
+        "simplify",
+        before=before,
+        after=len(work.faces),
+        bound=tolerance,
+        deviation=_deviation(*dense, work.vertices, work.faces),
+        volume_ratio=float(simple.volume()) / volume,
+    )
+
+
+def _deviation(
+    vertices: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    simple_vertices: Float[Array, "w 3"],
+    simple_faces: Int[Array, "g 3"],
+) -> float:
+    """Largest distance of 5000 points of a surface from its simplified copy."""
+    points, _ = surface_samples(vertices[faces], 5000, generator(0, "deviation"))
+    index = SurfaceIndex(simple_vertices[simple_faces])
+    return float(index.distance(points).max())
+
+
+def _diagonal(points: Float[Array, "n 3"]) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
