@@ -68,8 +68,8 @@ def dense(
 ) -> Iterator[Candidates]:
     """Candidates spread evenly over silhouette x height x angle.
 
-    They follow the additive low-discrepancy sequence of the generalised golden ratio (Roberts
-    2018), shifted at random: any first m of them are spread as evenly as a grid of m cells.
+    They follow Halton's low-discrepancy sequence (1960), shifted at random (Cranley and
+    Patterson 1976): its first m members cover all four dimensions evenly, whatever m is.
     Positions fill the rectangle along the principal axes of the object's footprint; those that
     are not above the object are left out. Heights go from `lowest` to the surface's top there.
 
@@ -79,7 +79,7 @@ def dense(
         lowest: Least height of the tool point, m.
         rng: Shifts the sequence.
     """
-    fractions = np.mod(rng.random(4) + np.outer(np.arange(n), _golden_steps(4)), 1.0)
+    fractions = np.mod(rng.random(4) + _halton(n), 1.0)
     footprint = surface.vertices[:, :2]
     axes = np.linalg.eigh(np.cov(footprint.T))[1]
     low, high = (footprint @ axes).min(axis=0), (footprint @ axes).max(axis=0)
@@ -153,13 +153,17 @@ def half_turn(angle: Float[Array, "n"]) -> Float[Array, "n"]:
     return np.where(angle < np.pi, angle, 0.0)  # mod rounds up to pi just below 0
 
 
-def _golden_steps(dimensions: int) -> Float[Array, "d"]:
-    """Steps of Roberts' sequence: powers of 1/g, with g^(d+1) = g + 1."""
-    g = 1.5
-    for _ in range(64):
-        g = (1.0 + g) ** (1.0 / (dimensions + 1))
-    steps: Array = g ** -np.arange(1.0, dimensions + 1)
-    return steps
+def _halton(n: int) -> Float[Array, "n 4"]:
+    """The first n members in four dimensions: each number's digits mirrored, in bases 2 to 7."""
+    columns = []
+    for base in (2, 3, 5, 7):
+        rest, value, digit = np.arange(n), np.zeros(n), 1.0
+        while rest.any():
+            digit /= base
+            value += digit * (rest % base)
+            rest = rest // base
+        columns.append(value)
+    return np.stack(columns, axis=1)
 
 
 def _blocks(n: int) -> Iterator[Int[Array, "m"]]:

@@ -19,15 +19,15 @@ _WORLD_UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class LineConfig:
-    """How lines sample a pad's face."""
+    """How lines sample a pad's face, and what a compliant pad touches.
 
-    grid: tuple[int, int] = (5, 5)
-    """Lines across the pad and along the approach, each through the centre of an equal cell."""
-    touch_tolerance: float = 0.5e-3
-    """m: a line's point belongs to the contact if it lies this close behind the pad's first
-    touch. A rubber pad 3 mm thick of 1 MPa sinks in by 0.15 mm under 20 N spread over its
-    face and by about 1.5 mm (Hertz) on a ball of 30 mm; the simulated pads by 0.1 mm. Half a
-    millimetre lies between, and is below the spacing of the lines."""
+    A rubber pad 3 mm thick of 1 MPa sinks in by 0.15 mm under 20 N spread over its face, and by
+    about 1.5 mm (Hertz) on a ball of 30 mm; a rigid one not at all. Half a millimetre lies
+    between, and is well below the spacing of the lines.
+    """
+
+    grid: tuple[int, int] = (5, 5)  # lines across the pad, and along the approach
+    touch_tolerance: float = 0.5e-3  # m, behind a pad's first touch that still belongs to it
 
 
 @dataclass(frozen=True)

@@ -40,20 +40,13 @@ _MARGIN = 0.001  # m, around the fingers' swept boxes: the hulls lie that close 
 class SampleConfig:
     """Which candidates there are, and which of them become grasps."""
 
-    candidates: int = 16384
-    """Candidates that a scene has; sampling ends there even if fewer grasps were found."""
-    clearance: tuple[float, float] = (0.005, 0.010)
-    """m: room left on either side between the open pads and the object, drawn from this range."""
-    least_clearance: float = 0.003
-    """m: room that must be left where the stroke or the object allows no more."""
-    table_clearance: float = 0.001
-    """m: between the fingertips and the table."""
-    colliding_share: float = 0.25
-    """Share of the candidates that collide which is kept, as data on collisions."""
-    surface_points: int = 4000
-    """Random points that, with the vertices, stand for the surface when the opening is chosen."""
-    lines: LineConfig = field(default_factory=LineConfig)
-    """The lines that decide whether the object lies between the pads."""
+    candidates: int = 16384  # of a scene; sampling ends there even if fewer grasps were found
+    clearance: tuple[float, float] = (0.005, 0.010)  # m, range of the room beside the open pads
+    least_clearance: float = 0.003  # m, where the stroke or the object allows no more
+    table_clearance: float = 0.001  # m, between the fingertips and the table
+    colliding_share: float = 0.25  # of the candidates that collide, kept as data on collisions
+    surface_points: int = 4000  # random ones that, with the vertices, decide on the opening
+    lines: LineConfig = field(default_factory=LineConfig)  # find out what is between the pads
 
 
 def sample_grasps(
