@@ -1,0 +1,270 @@
+"""Convex hulls that stand for a closed surface in physics, as few as fidelity allows.
+
+Three steps. One hull, if that is already close enough. Otherwise CoACD splits the surface
+into more parts than needed, every one of them nearly convex; then parts are merged, the
+pair that adds the least volume first, for as long as the union of what is left, simplified
+to few vertices, stays within bounds of the surface. The number of merges is found by
+bisection on the measured fidelity, so the judge is the surface itself, not CoACD's metric.
+"""
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import manifold3d
+import numpy as np
+import trimesh
+
+from gmdx.arrays import Array, Float, Int
+from gmdx.errors import DecompositionError
+from gmdx.objects.coacd_process import CoacdConfig, CoacdFailure, run_coacd
+from gmdx.objects.fidelity import (
+    Distances,
+    Fidelity,
+    FidelityConfig,
+    SurfaceIndex,
+    measure_fidelity,
+)
+from gmdx.objects.hulls import HullNode, grow_hull, hull_node, merge_sequence, simplify_hull
+
+log = logging.getLogger("gmdx")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One run of CoACD, tried in order until the result is within bounds."""
+
+    threshold: float  # m, concavity that CoACD leaves in a part
+    seconds: float  # s of CPU time
+
+
+@dataclass(frozen=True)
+class DecomposeConfig:
+    """Bounds on fidelity and on size, and how CoACD is run."""
+
+    fidelity: FidelityConfig = field(default_factory=FidelityConfig)
+    coacd: CoacdConfig = field(default_factory=CoacdConfig)
+    attempts: tuple[Attempt, ...] = (
+        Attempt(1.5e-3, 25.0),
+        Attempt(1.0e-3, 30.0),
+    )
+    max_hulls: int = 64
+    max_vertices: int = 64  # of one hull
+    vertex_tolerance: float = 2e-4  # m, by which a vertex left out of a hull may stick out
+    overlap: float = 1e-5  # m, growth of each of several hulls, so that no slit is left between
+    min_thickness: float = 1e-5  # m, thinner parts are dropped
+    headroom: float = 0.95  # share of the bounds that the search uses
+    fine_faces: int = 3000  # above this many triangles CoACD sees a simplified copy
+    simplify_tolerances: tuple[float, ...] = (1e-4, 2e-4, 3e-4)  # m, tried in turn
+    shell_thickness: float = 2.5e-3  # m, a shell's mean thickness (2 V / A) is at most this
+    shell_fill: float = 0.35  # and it fills at most this share of its convex hull
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Convex hulls for physics, and what is known about them."""
+
+    hulls: tuple[Float[Array, "_ 3"], ...]  # m, the vertices of each
+    report: dict[str, Any]  # JSON
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    method: str
+    hulls: tuple[Float[Array, "_ 3"], ...]
+    fidelity: Fidelity
+    strain: float  # the worst of the measures, each as a share of its bound
+
+    def excess(self, headroom: float) -> float:
+        """By how much the strain is above the headroom; 0 where the search is content."""
+        return max(0.0, self.strain - headroom)
+
+
+def decompose(
+    mesh: trimesh.Trimesh, *, config: DecomposeConfig = DecomposeConfig()
+) -> Decomposition:
+    """Convex hulls whose union is within bounds of a closed surface, as few as possible.
+
+    Solids are held to distance and volume, thin shells to distance alone: where walls are
+    about as thin as the distance bound, volume says nothing.
+
+    Args:
+        mesh: A watertight, outward surface at its final scale, m.
+        config: Bounds, sizes and search effort.
+
+    Returns:
+        The hulls and a JSON-able report. Everything but its "seconds" depends on the mesh and
+        the configuration alone. Where no attempt was within bounds, the closest one is
+        returned and the report says by how much it misses; where CoACD failed altogether,
+        the convex hull, named as the fallback.
+
+    Raises:
+        DecompositionError: the mesh is flat, empty or inside out.
+    """
+    started = time.perf_counter()
+    task = _Task(mesh, config)
+    attempts: list[dict[str, Any]] = []
+    best = task.single()
+    for attempt in config.attempts:
+        if best.excess(config.headroom) == 0:
+            break
+        entry: dict[str, Any] = {"threshold_mm": _round(attempt.threshold * 1e3)}
+        attempts.append(entry)
+        try:
+            parts = run_coacd(
+                task.coarse_vertices,
+                task.coarse_faces,
+                threshold=attempt.threshold,
+                seconds=attempt.seconds,
+                config=config.coacd,
+            )
+        except CoacdFailure as failure:
+            log.warning("CoACD at %g mm: %s", attempt.threshold * 1e3, failure)
+            entry["failure"] = str(failure)
+            continue
+        nodes = [hull_node(part, thickness=config.min_thickness) for part in parts]
+        kept = tuple(node for node in nodes if node is not None)
+        found = task.merged(kept, f"coacd {attempt.threshold * 1e3:g} mm") if kept else None
+        entry |= {"parts": len(parts), "parts_dropped": len(parts) - len(kept)}
+        if found is not None:
+            entry |= {"hulls": len(found.hulls), "strain": _round(found.strain)}
+            best = min(best, found, key=lambda c: (c.excess(config.headroom), len(c.hulls)))
+    failed = bool(attempts) and all("failure" in a for a in attempts)
+    if failed:
+        log.warning("every attempt of CoACD failed; the convex hull stands in")
+    report = task.report(best)
+    report |= {
+        "attempts": attempts,
+        "fallback": "convex hull" if failed else None,
+        "seconds": time.perf_counter() - started,
+    }
+    return Decomposition(best.hulls, report)
+
+
+class _Task:
+    """One mesh and the means to judge hulls against it."""
+
+    def __init__(self, mesh: trimesh.Trimesh, config: DecomposeConfig) -> None:
+        self.config = config
+        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+        hull = hull_node(vertices) if len(faces) else None
+        self.volume = float(mesh.volume) if len(faces) else 0.0
+        if hull is None or not np.isfinite(self.volume) or self.volume <= 0:
+            raise DecompositionError(
+                f"the mesh ({len(faces)} triangles) encloses no volume ({self.volume:g} m^3); "
+                "repair it to a closed surface that faces outward"
+            )
+        self.hull = hull
+        self.thickness = 2 * self.volume / float(mesh.area)
+        self.fill = self.volume / hull.volume
+        self.shell = self.thickness <= config.shell_thickness and self.fill <= config.shell_fill
+        fidelity = config.fidelity
+        self.surface = SurfaceIndex(vertices, faces, n=fidelity.samples, seed=fidelity.seed)
+        self.coarse_vertices, self.coarse_faces, self.deviation = self._coarse(vertices, faces)
+
+    def _coarse(
+        self, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
+    ) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"], float]:
+        """A copy with fewer triangles for CoACD, and its largest measured deviation, m."""
+        if len(faces) <= self.config.fine_faces:
+            return vertices, faces, 0.0
+        solid = manifold3d.Manifold(
+            manifold3d.Mesh64(
+                vert_properties=np.ascontiguousarray(vertices),
+                tri_verts=np.ascontiguousarray(faces, np.uint64),
+            )
+        )
+        if solid.status() != manifold3d.Error.NoError:
+            log.warning("not simplified for CoACD: %s", solid.status())
+            return vertices, faces, 0.0
+        for tolerance in self.config.simplify_tolerances:
+            coarse = solid.simplify(tolerance).to_mesh64()
+            if len(coarse.tri_verts) <= self.config.fine_faces:
+                break
+        coarse_vertices = np.array(coarse.vert_properties[:, :3], float)
+        coarse_faces = np.array(coarse.tri_verts, np.int64)
+        fidelity = self.config.fidelity
+        index = SurfaceIndex(coarse_vertices, coarse_faces, n=fidelity.samples, seed=fidelity.seed)
+        deviation = max(
+            self.surface.distance(index.samples).max(), index.distance(self.surface.samples).max()
+        )
+        return coarse_vertices, coarse_faces, float(deviation)
+
+    def single(self) -> _Candidate:
+        """The convex hull alone."""
+        return self._judge("convex hull", [self._simple(self.hull)])
+
+    def merged(self, parts: tuple[HullNode, ...], method: str) -> _Candidate:
+        """The fewest hulls within bounds, or the closest that the hull limit allows."""
+        sequence = merge_sequence(parts, gap=self.config.fidelity.distance)
+        ready: dict[int, Float[Array, "_ 3"]] = {}
+
+        def judge(merges: int) -> _Candidate:
+            for i in sequence.after(merges):
+                if i not in ready:
+                    ready[i] = grow_hull(self._simple(sequence.nodes[i]), self.config.overlap)
+            return self._judge(method, [ready[i] for i in sequence.after(merges)])
+
+        def content(candidate: _Candidate) -> bool:
+            return candidate.excess(self.config.headroom) == 0
+
+        low = min(max(0, len(parts) - self.config.max_hulls), len(sequence.pairs))
+        high = len(sequence.pairs)
+        best = judge(low)
+        while content(best) and low < high:
+            middle = (low + high + 1) // 2
+            candidate = judge(middle)
+            if content(candidate):
+                low, best = middle, candidate
+            else:
+                high = middle - 1
+        return best
+
+    def _simple(self, node: HullNode) -> Float[Array, "_ 3"]:
+        return simplify_hull(
+            node,
+            tolerance=self.config.vertex_tolerance,
+            max_vertices=self.config.max_vertices,
+        )
+
+    def _judge(self, method: str, hulls: Sequence[Float[Array, "_ 3"]]) -> _Candidate:
+        bounds = self.config.fidelity
+        fidelity = measure_fidelity(hulls, self.surface, self.volume, config=bounds)
+        worst = max(fidelity.to_surface.p95, fidelity.from_surface.p95) / bounds.distance
+        if not self.shell:
+            worst = max(worst, abs(fidelity.volume_ratio - 1) / bounds.volume)
+        return _Candidate(method, tuple(hulls), fidelity, worst)
+
+    def report(self, best: _Candidate) -> dict[str, Any]:
+        """What was made and how close it is, JSON-able."""
+        bounds, fidelity = self.config.fidelity, best.fidelity
+        return {
+            "method": best.method,
+            "kind": "shell" if self.shell else "solid",
+            "mean_thickness_mm": _round(self.thickness * 1e3),
+            "hull_fill": _round(self.fill),
+            "hulls": len(best.hulls),
+            "vertices": sum(len(h) for h in best.hulls),
+            "max_vertices": max(len(h) for h in best.hulls),
+            "volume_ratio": _round(fidelity.volume_ratio),
+            "hulls_to_surface_mm": _millimetres(fidelity.to_surface),
+            "surface_to_hulls_mm": _millimetres(fidelity.from_surface),
+            "bounds": {
+                "p95_mm": _round(bounds.distance * 1e3),
+                "volume": None if self.shell else bounds.volume,
+            },
+            "within_bounds": best.strain <= 1,
+            "miss": _round(max(0.0, best.strain - 1)),  # share of the bound that is missed most
+            "simplified_faces": len(self.coarse_faces),
+            "simplified_deviation_mm": _round(self.deviation * 1e3),
+        }
+
+
+def _millimetres(distances: Distances) -> dict[str, float]:
+    return {name: _round(metres * 1e3) for name, metres in asdict(distances).items()}
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.6g}")

@@ -1,0 +1,143 @@
+"""How well a set of convex hulls stands for a surface: volumes, and distances both ways."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gmdx.arrays import Array, Float, Int
+from gmdx.rng import generator
+
+
+@dataclass(frozen=True)
+class FidelityConfig:
+    """How finely distances are measured, and what counts as within bounds."""
+
+    samples: int = 10_000  # points on each of the two surfaces
+    seed: int = 0
+    distance: float = 1e-3  # m, bound on the 95th percentile, both directions
+    volume: float = 0.05  # bound on |volume of the union / volume of the mesh - 1| of solids
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances of area-uniform points on one surface to another surface."""
+
+    mean: float  # m
+    p95: float  # m
+    max: float  # m
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """The union of the hulls compared with the mesh that it stands for."""
+
+    volume_ratio: float  # volume of the union / volume of the mesh
+    to_surface: Distances  # from the boundary of the union to the mesh
+    from_surface: Distances  # from the mesh to the boundary of the union
+
+
+def surface_samples(
+    triangles: Float[Array, "f 3 3"], n: int, rng: np.random.Generator
+) -> tuple[Float[Array, "n 3"], Int[Array, "n"]]:
+    """Points spread over a surface in proportion to area, and the triangle each lies on.
+
+    Stratified: point i is drawn from the i-th of n equal parts of the cumulated area, so
+    the share of every region is met to within one point.
+    """
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    cumulated = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    at = (np.arange(n) + rng.random(n)) / n * cumulated[-1]
+    owner = np.minimum(np.searchsorted(cumulated, at, side="right"), len(triangles) - 1)
+    u, v = rng.random((2, n))
+    root = np.sqrt(u)[:, None]
+    s, t = root * (1 - v[:, None]), root * v[:, None]
+    return a[owner] + s * (b[owner] - a[owner]) + t * (c[owner] - a[owner]), owner
+
+
+def triangle_distance(
+    points: Float[Array, "n 3"], triangles: Float[Array, "n 3 3"]
+) -> Float[Array, "n"]:
+    """Distance of each point to its own triangle, m."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    best = np.full(len(points), np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge = end - start
+        length = np.maximum((edge * edge).sum(axis=1), 1e-300)
+        t = np.clip(((points - start) * edge).sum(axis=1) / length, 0.0, 1.0)
+        gap = points - start - t[:, None] * edge
+        best = np.minimum(best, (gap * gap).sum(axis=1))
+    ab, ac, ap = b - a, c - a, points - a
+    normal = np.cross(ab, ac)
+    square = (normal * normal).sum(axis=1)
+    flat = np.maximum(square, 1e-300)
+    beta = (np.cross(ap, ac) * normal).sum(axis=1) / flat
+    gamma = (np.cross(ab, ap) * normal).sum(axis=1) / flat
+    inside = (square > 0) & (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1)
+    height = (ap * normal).sum(axis=1) ** 2 / flat
+    return np.sqrt(np.where(inside, height, best))
+
+
+class SurfaceIndex:
+    """A surface that points can ask for their distance to it.
+
+    The distance is exact to one of the triangles that own the nearest samples: never too
+    small, and too large only where a nearer triangle owns none of them.
+    """
+
+    def __init__(
+        self, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, n: int, seed: int
+    ) -> None:
+        self.triangles: Float[Array, "f 3 3"] = np.asarray(vertices, float)[faces]
+        rng = generator(seed, "surface samples")
+        self.samples, owner = surface_samples(self.triangles, n, rng)
+        anchors = np.concatenate([self.samples, self.triangles.mean(axis=1)])
+        self._owner = np.concatenate([owner, np.arange(len(self.triangles))])
+        self._tree = cKDTree(anchors)
+
+    def distance(self, points: Float[Array, "n 3"], *, nearest: int = 8) -> Float[Array, "n"]:
+        """Distance of each point to the surface, m."""
+        _, hits = self._tree.query(points, k=min(nearest, len(self._owner)))
+        best = np.full(len(points), np.inf)
+        for column in np.atleast_2d(hits.T):
+            triangles = self.triangles[self._owner[column]]
+            best = np.minimum(best, triangle_distance(points, triangles))
+        return best
+
+
+def union_of_hulls(
+    hulls: Sequence[Float[Array, "_ 3"]],
+) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"], float]:
+    """Boundary of the union of convex hulls: vertices (m), outward faces, and volume (m^3)."""
+    parts = [manifold3d.Manifold.hull_points(np.ascontiguousarray(h, float)) for h in hulls]
+    union = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
+    mesh = union.to_mesh64()
+    vertices = np.array(mesh.vert_properties[:, :3], float)
+    return vertices, np.array(mesh.tri_verts, np.int64), float(union.volume())
+
+
+def measure_fidelity(
+    hulls: Sequence[Float[Array, "_ 3"]],
+    surface: SurfaceIndex,
+    volume: float,
+    *,
+    config: FidelityConfig = FidelityConfig(),
+) -> Fidelity:
+    """Compare the union of hulls with a closed surface that encloses `volume` m^3."""
+    vertices, faces, filled = union_of_hulls(hulls)
+    boundary = SurfaceIndex(vertices, faces, n=config.samples, seed=config.seed)
+    return Fidelity(
+        volume_ratio=filled / volume,
+        to_surface=_summary(surface.distance(boundary.samples)),
+        from_surface=_summary(boundary.distance(surface.samples)),
+    )
+
+
+def _summary(distances: Float[Array, "n"]) -> Distances:
+    return Distances(
+        mean=float(distances.mean()),
+        p95=float(np.percentile(distances, 95)),
+        max=float(distances.max()),
+    )
