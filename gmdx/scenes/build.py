@@ -184,6 +184,7 @@ def _bare_root(gripper: Gripper, physics: PhysicsConfig) -> mujoco.MjsBody:
         joint.solref_limit, joint.solimp_limit = [0.01, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
     root = spec.worldbody.first_body()
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # Euler angles would win over quat
     return root
 
 

@@ -85,11 +85,6 @@ class _Frames:
     qvel: Float[Array, "a s v"]
     sensors: Float[Array, "a s d"]
 
-    @property
-    def object_velocity(self) -> Float[Array, "a s 3"]:
-        velocity: Array = self.qvel[..., :3]
-        return velocity
-
 
 _Observe = Callable[[Int[Array, "a"], _Frames, slice], Bool[Array, "a"]]
 
@@ -239,18 +234,26 @@ class _Trials:
         strength = phase.force @ direction
         offset = self._offset(self.state[:, None, 1 : 1 + self.scene.model.nq])[:, 0] @ direction
 
+        mass, dt = self.batch.object.mass, self.config.physics.timestep
+        last_velocity = self.state[:, 1 + self.scene.model.nq :][:, :3] @ direction
+
         def watch(rows: Int[Array, "a"], frames: _Frames, steps: slice) -> Bool[Array, "a"]:
             moved = self._offset(frames.qpos) @ direction - offset[rows, None]
-            velocity = frames.object_velocity.copy()
-            velocity[..., 2] -= frames.qvel[..., HEIGHT_QVEL]
-            slipping = velocity @ direction > self.config.slip_speed
-            out = slipping & (moved > self.config.push_distance)
+            velocity = frames.qvel[..., :3] @ direction
+            slip = velocity - frames.qvel[..., HEIGHT_QVEL] * direction[2]
+            out = (slip > self.config.slip_speed) & (moved > self.config.push_distance)
             first = np.where(out.any(axis=1), out.argmax(axis=1), out.shape[1])
-            before = np.arange(out.shape[1]) < first[:, None]
-            resisted = np.where(before & ~slipping, strength[steps], 0.0).max(axis=1)
-            self.held_force[rows] = np.maximum(self.held_force[rows], resisted)
-            self.pushed_out[rows] |= first < out.shape[1]
+            # The grip bore the force less what already accelerated the object, as long as
+            # the object did not slip.
+            change = np.diff(velocity, axis=1, prepend=last_velocity[rows, None])
+            bore = strength[steps] - mass * change / dt
+            last_velocity[rows] = velocity[:, -1]
+            held = (np.arange(out.shape[1]) < first[:, None]) & (slip <= self.config.slip_speed)
+            last = held.shape[1] - 1 - held[:, ::-1].argmax(axis=1)
+            some = held.any(axis=1)
+            self.held_force[rows[some]] = bore[some, last[some]].clip(min=0.0)
             ended: Array = first < out.shape[1]
+            self.pushed_out[rows] |= ended
             return ended
 
         self._advance(phase, watch, rows)

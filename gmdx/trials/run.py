@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
 
 
+@runtime_checkable
 class Backend(Protocol):
     """An engine that runs the schedule of `protocol` on a batch of trials."""
 

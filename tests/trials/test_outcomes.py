@@ -1,0 +1,102 @@
+"""Every trial ends by name, and what failed for the simulator's sake never looks like a miss."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gmdx.errors import GraspError, UsageError
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.scenes.build import PhysicsConfig
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.results import Snapshot
+from gmdx.trials.run import run_trials
+from tests.support import box_object, resting_scene
+
+BOX = (0.03, 0.04, 0.05)
+
+
+def _grasp(
+    center: tuple[float, float, float], angle: float = 0.0, width: float = 0.05
+) -> PlanarGrasp:
+    return PlanarGrasp(np.array([0]), np.array([center]), np.array([angle]), np.array([width]))
+
+
+def test_beside_the_object_is_no_contact() -> None:
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.1, 0.025)))
+    assert np.all(trials.outcome == Outcome.NO_CONTACT)
+    assert not trials.collision.any()
+    assert trials.opening[0] == pytest.approx(0.0, abs=5e-4)
+    assert trials.push_force[0] == 0.0
+    assert not trials.contacts.valid.any()
+
+
+def test_finger_above_the_object_is_a_collision() -> None:
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.02, 0.0, 0.025)))
+    assert np.all(trials.outcome == Outcome.COLLISION_IN_APPROACH)
+    assert trials.collision.all()
+    assert np.isnan(trials.object_position[0, Snapshot.CLOSING]).all()
+    assert np.isnan(trials.opening[0])
+
+
+def test_finger_below_the_table_is_a_collision() -> None:
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.1, 0.005)), trials=1)
+    assert trials.outcome[0, 0] == Outcome.COLLISION_IN_APPROACH
+
+
+def test_corner_squeezed_out_sideways_is_knocked_away() -> None:
+    trials = run_trials(
+        resting_scene(box_object(BOX)), _grasp((0.0, 0.024, 0.025), angle=0.6, width=0.06), trials=1
+    )
+    assert trials.outcome[0, 0] == Outcome.KNOCKED_AWAY
+
+
+def test_too_heavy_to_lift_is_lost() -> None:
+    # 2 mu N = 32 N holds at most 3.3 kg.
+    trials = run_trials(resting_scene(box_object(BOX, mass=10.0)), _grasp((0.0, 0.0, 0.025)))
+    assert trials.outcome[0, 0] == Outcome.LOST_IN_LIFT
+    assert trials.push_force[0] == 0.0
+
+
+def test_diverged_simulation_is_named_and_measures_nothing() -> None:
+    wild = TrialConfig(physics=PhysicsConfig(timestep=0.2))
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=wild)
+    assert np.all(trials.outcome == Outcome.DIVERGED)
+    assert np.isnan(trials.push_force[0])
+    assert np.isnan(trials.opening[0])
+
+
+def test_nan_in_the_start_is_a_diverged_trial() -> None:
+    scene = resting_scene(box_object(BOX))
+    poisoned = type(scene)(
+        scene.object, 0, 0, scene.position * [1.0, np.nan, 1.0], scene.quaternion, 0.0
+    )
+    trials = run_trials(poisoned, _grasp((0.0, 0.0, 0.025)))
+    assert np.all(trials.outcome == Outcome.DIVERGED)
+
+
+def test_engine_warnings_leave_no_file_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wild = TrialConfig(physics=PhysicsConfig(timestep=0.2))
+    run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=wild)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_requests_are_named() -> None:
+    scene = resting_scene(box_object(BOX))
+    with pytest.raises(UsageError, match="unknown backend 'mojoco': give one of mujoco"):
+        run_trials(scene, _grasp((0.0, 0.0, 0.025)), "mojoco")
+    with pytest.raises(GraspError, match=r"opens to 0\.0850 m"):
+        run_trials(scene, _grasp((0.0, 0.0, 0.025), width=0.2))
+    with pytest.raises(GraspError, match="not finite"):
+        run_trials(scene, _grasp((0.0, np.nan, 0.025)))
+
+
+def test_an_empty_batch_is_an_empty_result() -> None:
+    scene = resting_scene(box_object(BOX))
+    trials = run_trials(scene, _grasp((0.0, 0.0, 0.025))[:0])
+    assert len(trials) == 0
+    assert trials.outcome.shape == (0, 5)

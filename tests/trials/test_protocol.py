@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from gmdx.errors import ConfigError
+from gmdx.trials.protocol import Schedule, TrialConfig, compile_schedule
+
+CONFIG = TrialConfig()
+DT = CONFIG.physics.timestep
+
+
+@pytest.fixture(scope="module")
+def schedule() -> Schedule:
+    return compile_schedule(CONFIG, stroke=0.085, closing_force=20.0, descent=0.1)
+
+
+def test_controls_start_above_and_end_at_the_grasp(schedule: Schedule) -> None:
+    grasp, start = np.array([0.02, 0.05]), np.array([0.1, 0.11])
+    approach = schedule.approach.controls(grasp, start)
+    assert approach.shape == (2, round(0.1 / CONFIG.approach_speed / DT), 3)
+    np.testing.assert_allclose(approach[:, -1, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(approach[:, -1, 0], grasp, atol=2e-3)
+    # The commanded speed integrates to the way down.
+    np.testing.assert_allclose(approach[..., 1].sum(axis=1) * DT, grasp - start, rtol=1e-3)
+    assert np.all(approach[..., 1] <= 1e-12)
+
+
+def test_lift_rises_by_the_lift_height_and_hold_keeps_it(schedule: Schedule) -> None:
+    at = np.array([0.03])
+    lift = schedule.lift.controls(at, at)
+    assert lift[0, :, 1].sum() * DT == pytest.approx(CONFIG.lift_height, rel=1e-3)
+    hold = schedule.hold.controls(at, at)
+    np.testing.assert_allclose(hold[0, :, 0], 0.03 + CONFIG.lift_height)
+    np.testing.assert_allclose(hold[0, :, 1], 0.0)
+
+
+def test_only_the_push_pushes_and_its_ramp_is_linear(schedule: Schedule) -> None:
+    for phase in (schedule.approach, schedule.close, schedule.lift, schedule.hold):
+        assert not phase.force.any()
+    force = schedule.push.force
+    np.testing.assert_allclose(force[:, :2], 0.0)
+    np.testing.assert_allclose(np.diff(force[:, 2]), -20.0 * CONFIG.push_ramp * DT)
+    assert force[-1, 2] == pytest.approx(-20.0 * CONFIG.push_limit)
+
+
+def test_fingers_can_cross_the_whole_stroke(schedule: Schedule) -> None:
+    assert not schedule.approach.closing.any()
+    assert schedule.close.closing.sum() * DT > 0.085
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"trials": 0}, {"chunk": 0}, {"push_direction": (0.0, 0.0, -2.0)}]
+)
+def test_wrong_configurations_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        TrialConfig(**wrong)  # type: ignore[arg-type]
