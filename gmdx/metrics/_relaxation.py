@@ -1,0 +1,213 @@
+"""Lower bounds of epsilon from a semidefinite relaxation, proved by eigenvalues.
+
+Let y_i = (t - c_i . u, B_i^T u). That t >= h(u) says that every y_i lies in the Lorentz
+cone, i.e. that the Hermitian 2x2 matrix rho_i = sum_a y_ia sigma_a (Pauli matrices) is
+positive. So for any multipliers l_i >= 0 and Hermitian 4x4 matrices P_ij >= 0,
+
+    t^2 - theta |u|^2 - sum_i l_i det(rho_i) - sum_ij tr(P_ij (rho_i x rho_j)) >= 0 for all (t, u)
+
+proves h(u)^2 >= theta |u|^2. The left side is one 7x7 matrix: the largest theta is a small
+semidefinite programme, and whatever multipliers the solver returns, the bound they prove
+follows from eigenvalues alone. The family `transposed` takes rho_j^T instead of rho_j; both
+together span every positive form on two Lorentz cones (Stormer, Woronowicz).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import clarabel
+import numpy as np
+import scipy.sparse
+
+from gmdx.arrays import Array, Float
+from gmdx.metrics.wrench import WrenchCones
+
+Pairs = tuple[tuple[int, int], ...]
+
+_LORENTZ = np.diag([1.0, -1.0, -1.0, -1.0])
+_PAULI = np.array([[[1, 0], [0, 1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
+_KRON = np.array([np.kron(a, b) for a in _PAULI for b in _PAULI]) / 4
+_KRON_TRANSPOSED = np.array([np.kron(a, b.T) for a in _PAULI for b in _PAULI]) / 4
+_ROUNDING = 200 * np.finfo(float).eps  # of sums of some 100 products, relative to their size
+
+
+@dataclass(frozen=True)
+class LowerBound:
+    """A proved lower bound, and where the relaxation believes the minimum to be."""
+
+    value: float  # epsilon is at least this; 0 if nothing was proved
+    directions: Float[Array, "m 6"]  # unit, the likeliest first
+
+
+@dataclass(frozen=True)
+class _Template:
+    """What does not change from one grasp to the next: the programme's sparse structure."""
+
+    indices: Array
+    indptr: Array
+    data: Array
+    slots: Array  # (28, v): where the entries of the 7x7 matrix go in `data`
+    families: tuple[Array, ...]
+
+
+def relaxation_bound(
+    cones: WrenchCones, pairs: Pairs, *, transposed: bool, tol: float
+) -> LowerBound:
+    """The bound of the relaxation with products of the contact pairs in `pairs`.
+
+    Args:
+        cones: Contacts that span all six dimensions.
+        pairs: Which products of contacts take part; more of them tighten the bound.
+        transposed: Whether to use the family of transposed products as well.
+        tol: Relative accuracy asked of the solver. The bound is valid whatever it is.
+    """
+    forms = _forms(cones)
+    k = len(forms)
+    # Roundness makes the solver's work well-posed; the bound is proved without it.
+    gram = cones.columns.T @ cones.columns
+    width, axes = np.linalg.eigh(gram)
+    scale = np.eye(7)
+    scale[1:, 1:] = (axes / np.sqrt(width)) @ axes.T
+    template = _template(k, pairs, transposed)
+    data = template.data.copy()
+    data[template.slots] = -_svec(scale @ _matrices(forms, pairs, transposed) @ scale).T
+    size = int(template.indptr.size) - 1
+    rows = k + 28 + 36 * len(template.families) * len(pairs)
+    b = np.zeros(rows)
+    b[k] = 1.0  # t^2
+    q = np.zeros(size)
+    q[0] = -1.0
+    solution = clarabel.DefaultSolver(
+        scipy.sparse.csc_matrix((size, size)),
+        q,
+        scipy.sparse.csc_matrix((data, template.indices, template.indptr), shape=(rows, size)),
+        b,
+        [clarabel.NonnegativeConeT(k), clarabel.PSDTriangleConeT(7)]
+        + [clarabel.PSDTriangleConeT(8)] * (len(template.families) * len(pairs)),
+        _settings(tol),
+    ).solve()
+    x = np.asarray(solution.x)
+    if not np.isfinite(x).all():
+        return LowerBound(0.0, np.zeros((0, 6)))
+    value = _proved(forms, pairs, x[1 : k + 1], x[k + 1 :], template.families)
+    moment = scale @ _smat(np.asarray(solution.z)[k : k + 28]) @ scale
+    return LowerBound(value, _directions(moment))
+
+
+def _proved(
+    forms: Float[Array, "k 4 7"],
+    pairs: Pairs,
+    multipliers: Float[Array, "k"],
+    products: Float[Array, "m"],
+    families: tuple[Array, ...],
+) -> float:
+    """The epsilon that multipliers prove, after making them exactly admissible."""
+    total = np.zeros((7, 7))
+    for form, weight in zip(forms, np.maximum(multipliers, 0.0), strict=True):
+        total += weight * form.T @ _LORENTZ @ form
+    size = np.abs(total).max()
+    blocks = products.reshape(len(families), len(pairs), 16)
+    for family, matrices in zip(families, blocks, strict=True):
+        # tr(P (sigma_a x sigma_b)) / 4 for the nearest P >= 0.
+        w, v = np.linalg.eigh(np.tensordot(matrices, family, axes=(1, 0)))
+        positive = (v * np.maximum(w, 0.0)[:, None, :]) @ v.conj().transpose(0, 2, 1)
+        back = 4.0 * np.einsum("aij,pji->pa", family, positive).real.reshape(-1, 4, 4)
+        for (i, j), matrix in zip(pairs, back, strict=True):
+            term = forms[i].T @ matrix @ forms[j]
+            total += 0.5 * (term + term.T)
+            size = max(size, np.abs(term).max())
+    rest = -total
+    rest[0, 0] += 1.0
+    if rest[0, 0] <= 0:
+        return 0.0
+    schur = rest[1:, 1:] - np.outer(rest[1:, 0], rest[1:, 0]) / rest[0, 0]
+    size = max(size, 1.0, np.abs(rest[1:, 0]).max() ** 2 / rest[0, 0])
+    theta = np.linalg.eigvalsh(schur)[0] - _ROUNDING * size
+    return float(np.sqrt(max(theta, 0.0)))
+
+
+def _directions(moment: Float[Array, "7 7"]) -> Float[Array, "m 6"]:
+    """Candidates for the worst wrench from the solution's moment matrix of (t, u)."""
+    w, v = np.linalg.eigh(moment)
+    order = np.argsort(w)[::-1][:3]
+    u = v[1:, order].T * np.where(v[0, order] < 0, -1.0, 1.0)[:, None]
+    both = np.concatenate([np.stack([a, -a]) for a in u])
+    length = np.linalg.norm(both, axis=1)
+    return both[length > 1e-9] / length[length > 1e-9, None]
+
+
+def _forms(cones: WrenchCones) -> Float[Array, "k 4 7"]:
+    """A_i: (t, u) to y_i."""
+    k = len(cones.centers)
+    forms = np.zeros((k, 4, 7))
+    forms[:, 0, 0] = 1.0
+    forms[:, 0, 1:] = -cones.centers
+    forms[:, 1:, 1:] = cones.spreads
+    return forms
+
+
+def _matrices(
+    forms: Float[Array, "k 4 7"], pairs: Pairs, transposed: bool
+) -> Float[Array, "v 7 7"]:
+    """Coefficients of every variable in the 7x7 matrix: theta, l_i, and 16 a product."""
+    ball = np.diag([0.0, *[1.0] * 6])[None]
+    quadratic = forms.transpose(0, 2, 1) @ _LORENTZ @ forms
+    left, right = np.array(pairs, int).T
+    outer = forms[left][:, :, None, :, None] * forms[right][:, None, :, None, :]
+    outer = outer.reshape(-1, 7, 7)
+    outer = 0.5 * (outer + outer.transpose(0, 2, 1))
+    return -np.concatenate([ball, quadratic, outer] + ([outer] if transposed else []))
+
+
+@lru_cache(maxsize=64)
+def _template(k: int, pairs: Pairs, transposed: bool) -> _Template:
+    families = (_KRON, _KRON_TRANSPOSED) if transposed else (_KRON,)
+    blocks = len(families) * len(pairs)
+    rows, columns = k + 28 + 36 * blocks, 1 + k + 16 * blocks
+    matrix = np.zeros((rows, columns))
+    matrix[np.arange(k), 1 + np.arange(k)] = -1.0
+    matrix[k : k + 28] = 1.0
+    for block in range(blocks):
+        family = families[block // len(pairs)]
+        real = np.block([[family.real, -family.imag], [family.imag, family.real]])
+        matrix[
+            k + 28 + 36 * block : k + 64 + 36 * block, 1 + k + 16 * block : 17 + k + 16 * block
+        ] = -_svec(real).T
+    sparse = scipy.sparse.csc_matrix(matrix)
+    sparse.sort_indices()
+    slots = np.flatnonzero((sparse.indices >= k) & (sparse.indices < k + 28))
+    return _Template(
+        indices=sparse.indices,
+        indptr=sparse.indptr,
+        data=sparse.data,
+        slots=slots.reshape(columns, 28).T,
+        families=families,
+    )
+
+
+def _settings(tol: float) -> "clarabel.DefaultSettings":
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.presolve_enable = False
+    settings.max_iter = 60
+    settings.tol_gap_rel = tol
+    settings.tol_gap_abs = 0.0
+    settings.tol_feas = min(tol, 1e-4)
+    return settings
+
+
+def _svec(matrices: Float[Array, "m n n"]) -> Float[Array, "m t"]:
+    """Upper triangles by columns, off-diagonal entries times sqrt 2, as Clarabel wants them."""
+    n = matrices.shape[-1]
+    column, row = np.tril_indices(n)
+    weight = np.where(row == column, 1.0, np.sqrt(2.0))
+    return np.asarray(matrices[:, row, column] * weight)
+
+
+def _smat(vector: Float[Array, "t"]) -> Float[Array, "n n"]:
+    """The symmetric matrix that `_svec` flattened."""
+    n = int((np.sqrt(8 * len(vector) + 1) - 1) / 2)
+    column, row = np.tril_indices(n)
+    matrix = np.zeros((n, n))
+    matrix[row, column] = vector / np.where(row == column, 1.0, np.sqrt(2.0))
+    return matrix + np.triu(matrix, 1).T
