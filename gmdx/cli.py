@@ -1,115 +1,112 @@
 """The command `gmdx`. What is slow to import is imported by the command that needs it."""
 
-import contextlib
 import dataclasses
-import json
-import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg
+from tyro.conf import subcommand as named
 from tyro.constructors import PrimitiveConstructorSpec
 
+from gmdx import bench
 from gmdx.config import as_toml, load_toml, merge
-from gmdx.errors import GmdxError, UsageError
-from gmdx.workers import THREAD_VARIABLES, available_cores
+from gmdx.errors import GmdxError, GripperError, UsageError
+from gmdx.terminal import complain, console, following, say
+from gmdx.workers import THREAD_VARIABLES, available_cores, run_tasks
 
 if TYPE_CHECKING:
-    from gmdx.pipeline import GenerateConfig, Progress, Summary
+    from gmdx.objects.catalog import ObjectSource
+    from gmdx.pipeline import GenerateConfig, Summary
 
 DONE, NOTHING_PRODUCED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
 
-_DESCRIPTION = """\
-Annotated planar-grasp datasets from object meshes.
+_DESCRIPTION = """Annotated planar-grasp datasets from object meshes.
 
 A first dataset, from the objects that come along:
 
-  gmdx generate bundled --out runs/first
-  gmdx inspect runs/first
+    gmdx generate bundled --out runs/first
+    gmdx inspect runs/first
 """
 
-_logger = logging.getLogger("gmdx")
 
-
-def _whole_number(default: str) -> Any:
-    """An integer flag that is None where it is not given, and says what holds then."""
-    return (
-        PrimitiveConstructorSpec(
-            nargs=1,
-            metavar="INT",
-            instance_from_str=lambda words: int(words[0]),
-            is_instance=lambda value: isinstance(value, int | None),
-            str_from_instance=lambda value: [str(value)],
-        ),
-        arg(help_behavior_hint=f"(default: {default})"),
+def _optional(kind: type[int] | type[str], metavar: str, default: str) -> tuple[Any, Any]:
+    """A flag that is None where it is not given, with what holds then in its help."""
+    spec: PrimitiveConstructorSpec[Any] = PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: kind(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, kind),
+        str_from_instance=lambda value: [str(value)],
     )
+    return spec, arg(help_behavior_hint=f"(default: {default})")
+
+
+_Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...", help_behavior_hint="")]
+_Cache = Annotated[str | None, *_optional(str, "DIR", "~/.cache/gmdx")]
+_Json = FlagCreatePairsOff[Annotated[bool, arg(help_behavior_hint="")]]
 
 
 @dataclasses.dataclass(frozen=True)
 class Generate:
-    """Annotate objects with grasps, trials and metrics. Run it again to continue.
+    """Annotate objects with grasps, trials and metrics. Run it again to continue."""
 
-    OBJECTS are any mix of: bundled, mesh files, folders, globs, pybullet:random_urdfs[:N].
-    """
-
-    objects: Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")] = ()
-    """what to annotate"""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
+    objects: _Objects
+    """any mix of: bundled, mesh files, folders, globs, pybullet:random_urdfs[:N]"""
+    out: Annotated[Path, arg(metavar="DIR")]
     """folder of the dataset"""
-    grasps: Annotated[int | None, *_whole_number("64")] = None
+    grasps: Annotated[int | None, *_optional(int, "INT", "64")] = None
     """grasps per scene"""
-    scenes: Annotated[int | None, *_whole_number("2")] = None
-    """scenes per object"""
-    trials: Annotated[int | None, *_whole_number("5")] = None
+    scenes: Annotated[int | None, *_optional(int, "INT", "2")] = None
+    """scenes per object, each from a random orientation"""
+    trials: Annotated[int | None, *_optional(int, "INT", "5")] = None
     """simulated trials per grasp"""
-    seed: Annotated[int | None, *_whole_number("0")] = None
+    gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "parallel_jaw")] = None
+    """a shipped gripper, or the description of your own"""
+    workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
+    """processes; results do not depend on it"""
+    seed: Annotated[int | None, *_optional(int, "INT", "0")] = None
     """of every random number"""
-    gripper: Annotated[
-        str | None, arg(metavar="NAME|FILE", help_behavior_hint="(default: parallel_jaw)")
-    ] = None
-    """a shipped gripper, or a description file"""
-    workers: Annotated[int | None, *_whole_number("one per core")] = None
-    """processes"""
-    config: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None
-    """TOML file with further settings; flags win over it"""
-    cache: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ~/.cache/gmdx)")] = None  # fmt: skip  # noqa: E501
+    config: Annotated[str | None, *_optional(str, "FILE", "none")] = None
+    """TOML file with more settings, as `gmdx config` prints it; flags win over it"""
+    cache: _Cache = None
     """folder of prepared objects"""
-    print_config: FlagCreatePairsOff[bool] = False
-    """print all settings as a TOML file to edit, and stop"""
 
     def run(self) -> int:
-        """Generate the dataset, with a progress bar on a terminal."""
+        """Generate the dataset."""
         from gmdx.pipeline import generate
 
-        config = self.settings()
-        if self.print_config:
-            _say(as_toml(config))
-            return DONE
-        if not self.objects:
-            raise UsageError("say what to annotate, for example: gmdx generate bundled --out DIR")
-        if self.out is None:
-            raise UsageError("say where the dataset goes: --out DIR")
-        with _progress() as on_progress:
-            summary = generate(self.objects, self.out, config, on_progress=on_progress)
-        _say(_last_line(summary))
+        with following("grasps") as on_progress:
+            summary = generate(self.objects, self.out, self.settings(), on_progress=on_progress)
+        say(_last_line(summary))
         return DONE if summary.counts["objects"] else NOTHING_PRODUCED
 
     def settings(self) -> "GenerateConfig":
         """The defaults, the configuration file over them, and the flags over both."""
         from gmdx.pipeline import GenerateConfig
 
-        config = GenerateConfig(workers=available_cores(), cache=_cache_folder())
+        config = GenerateConfig(workers=available_cores())
         if self.config is not None:
             config = merge(config, load_toml(self.config))
-        names = ("grasps", "scenes", "trials", "seed", "gripper", "workers", "cache")
+        names = ("grasps", "scenes", "trials", "gripper", "workers", "seed", "cache")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return merge(config, given)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Print every setting of `gmdx generate` as a TOML file to edit."""
+
+    def run(self) -> int:
+        """Print the defaults."""
+        from gmdx.pipeline import GenerateConfig
+
+        say(as_toml(GenerateConfig(workers=available_cores())))
+        return DONE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,9 +121,9 @@ class Inspect:
         from gmdx.dataset.inspect import overview, tables
         from gmdx.dataset.read import read_dataset
 
-        console = _console()
+        screen = console()
         for table in tables(overview(read_dataset(self.dataset))):
-            console.print(table)
+            screen.print(table)
         return DONE
 
 
@@ -142,8 +139,83 @@ class Metrics:
         for metric in METRICS:
             unit = metric.unit if metric.unit else "-"
             table.add_row(str(metric.number), metric.name, metric.kind, unit, metric.definition)
-        _console().print(table)
+        console().print(table)
         return DONE
+
+
+@dataclasses.dataclass(frozen=True)
+class Prepare:
+    """Prepare objects for physics, and report what was repaired."""
+
+    objects: _Objects
+    """any mix of: bundled, mesh files, folders, globs, pybullet:random_urdfs[:N]"""
+    workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
+    """processes"""
+    cache: _Cache = None
+    """folder of prepared objects"""
+
+    def run(self) -> int:
+        """Print a report per object."""
+        from gmdx.objects.catalog import resolve
+
+        sources = resolve(list(self.objects))
+        workers = available_cores() if self.workers is None else self.workers
+        if workers < 1:
+            raise UsageError(f"--workers must be at least 1, not {workers}")
+        tasks = [
+            _PrepareTask(source, None if self.cache is None else Path(self.cache))
+            for source in sources
+        ]
+        failed = 0
+        for finished in run_tasks(_prepared, tasks, workers=min(workers, len(tasks))):
+            object_id, result = finished.task.source.object_id, finished.result
+            if isinstance(result, _Report):
+                say(result.text)
+            else:
+                failed += 1
+                say(f"{object_id}: failed: {result}")
+        say(f"{len(tasks) - failed} objects prepared, {failed} failed")
+        return DONE if failed < len(tasks) else NOTHING_PRODUCED
+
+
+@dataclasses.dataclass(frozen=True)
+class _PrepareTask:
+    source: "ObjectSource"
+    cache: Path | None  # None: the user's own
+
+
+@dataclasses.dataclass(frozen=True)
+class _Report:
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """Measure the pipeline, its trials or its depth images on this machine."""
+
+    of: (
+        Annotated[bench.Pipeline, named("pipeline")]
+        | Annotated[bench.Trials, named("trials")]
+        | Annotated[bench.Depth, named("depth")]
+    )
+
+    def run(self) -> int:
+        """Run the chosen measurement."""
+        return self.of.run()
+
+
+def _prepared(task: _PrepareTask) -> "_Report | str":
+    """The report on one object, or why there is none."""
+    from gmdx.objects.prepare import prepare
+    from gmdx.objects.report import describe
+
+    try:
+        obj = prepare(task.source, cache="user" if task.cache is None else task.cache)
+        return _Report(describe(obj))
+    except GmdxError as error:
+        return str(error)
+    except Exception as error:  # one object's surprise is not the others'
+        return f"{type(error).__name__}: {error}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -155,16 +227,47 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 the run finished, 1 nothing was produced, 2 wrong usage, 130 interrupted.
     """
-    for name in THREAD_VARIABLES:  # workers are the parallelism, and results do not depend on it
+    for name in THREAD_VARIABLES:  # workers are the parallelism
         os.environ.setdefault(name, "1")
+    command = tyro.cli(
+        _Command,
+        config=(OmitArgPrefixes, OmitSubcommandPrefixes),
+        prog="gmdx",
+        description=_DESCRIPTION,
+        args=argv,
+    )
     try:
-        return _parsed(argv).run()
+        code: int = command.run()
     except KeyboardInterrupt:
-        _complain("interrupted; the same command continues after what is complete")
+        complain("interrupted; the same command continues after what is complete")
         return INTERRUPTED
     except GmdxError as error:
-        _complain(f"gmdx: {error}")
-        return WRONG_USAGE if isinstance(error, UsageError) else NOTHING_PRODUCED
+        complain(f"gmdx: {error}")
+        wrong = isinstance(error, UsageError | GripperError)
+        return WRONG_USAGE if wrong else NOTHING_PRODUCED
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    return code
+
+
+def _last_line(summary: "Summary") -> str:
+    """What a run came to."""
+    counts = summary.counts
+    there = f", {summary.present} already there" if summary.present else ""
+    return (
+        f"{summary.root}: {counts['objects']} objects, {counts['scenes']} scenes, "
+        f"{counts['grasps']} grasps ({summary.produced} objects new{there}); "
+        f"{summary.failed} of {summary.requested} objects failed, "
+        f"{counts['failures']} lines in failures.jsonl"
+    )
+
+
+_Command = (
+    Annotated[Generate, named("generate")]
+    | Annotated[Config, named("config")]
+    | Annotated[Inspect, named("inspect")]
+    | Annotated[Metrics, named("metrics")]
+    | Annotated[Prepare, named("prepare")]
+    | Annotated[Bench, named("bench")]
+)

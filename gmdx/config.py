@@ -65,10 +65,12 @@ def merge(config: T, values: Mapping[str, Any], *, where: str = "") -> T:
 
 def _converted(value: Any, hint: Any, path: str) -> Any:
     """`value` as the annotation `hint` wants it, or a ConfigError."""
-    for option in _options(hint):
-        origin = get_origin(option)
-        if origin is Literal and value in get_args(option):
+    options = list(_options(hint))
+    for option in options:
+        if get_origin(option) is Literal and value in get_args(option):
             return value
+    for option in options:
+        origin = get_origin(option)
         if origin is tuple and isinstance(value, list | tuple):
             items = get_args(option)
             if items[-1] is ...:
@@ -76,6 +78,8 @@ def _converted(value: Any, hint: Any, path: str) -> Any:
             if len(items) == len(value):
                 pairs = zip(value, items, strict=True)
                 return tuple(_converted(v, i, f"{path}[{k}]") for k, (v, i) in enumerate(pairs))
+        if dataclasses.is_dataclass(option) and isinstance(value, Mapping):
+            return _record(option, value, path)
         if option is type(None) and value is None:
             return None
         if option is Path and isinstance(value, str | Path):
@@ -85,6 +89,14 @@ def _converted(value: Any, hint: Any, path: str) -> Any:
         if isinstance(option, type) and type(value) is option:
             return value
     raise ConfigError(f"{path} must be {_named(hint)}, not {value!r}")
+
+
+def _record(cls: Any, values: Mapping[str, Any], path: str) -> Any:
+    """A dataclass inside a list, all of whose fields must be given."""
+    hints = get_type_hints(cls)
+    if set(values) != set(hints):
+        raise ConfigError(f"{path} has the keys {', '.join(hints)}, not {', '.join(values)}")
+    return cls(**{key: _converted(values[key], hints[key], f"{path}.{key}") for key in hints})
 
 
 def _options(hint: Any) -> Iterator[Any]:
@@ -138,6 +150,11 @@ def _toml_value(value: Any) -> str:
     """One TOML value; JSON's notation is TOML's for what configurations hold."""
     if isinstance(value, tuple | list):
         return "[" + ", ".join(map(_toml_value, value)) + "]"
+    if dataclasses.is_dataclass(value):
+        items = (
+            f"{f.name} = {_toml_value(getattr(value, f.name))}" for f in dataclasses.fields(value)
+        )
+        return "{ " + ", ".join(items) + " }"
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, default=str)

@@ -15,7 +15,8 @@ import numpy as np
 from gmdx.arrays import Array
 from gmdx.config import as_dict
 from gmdx.dataset.costs import Costs
-from gmdx.dataset.schema import Failure
+from gmdx.dataset.files import read_json
+from gmdx.dataset.schema import OBJECT_FILE, Failure
 from gmdx.dataset.store import DatasetStore, OutputError, StorageError
 from gmdx.dataset.write import ObjectWriter
 from gmdx.errors import ConfigError, GmdxError, SceneError
@@ -24,7 +25,7 @@ from gmdx.grasps.sample import SAMPLERS, SampleConfig, sample_grasps
 from gmdx.metrics.compute import MetricConfig, compute_metrics
 from gmdx.objects.catalog import ObjectSource, resolve
 from gmdx.objects.model import ObjectModel
-from gmdx.objects.prepare import PrepareConfig, prepare
+from gmdx.objects.prepare import CacheOption, PrepareConfig, content_hash, prepare
 from gmdx.scenes.build import PhysicsConfig
 from gmdx.scenes.camera import CameraConfig, render
 from gmdx.scenes.gripper import DEFAULT_GRIPPER, Gripper, load_gripper
@@ -59,7 +60,7 @@ class GenerateConfig:
     backend: str = "mujoco"  # what runs the trials
     workers: int = 1  # processes; 1 is this process. Without effect on results
     batch: int = 256  # grasps simulated together: memory against speed. Without effect on results
-    cache: Path | None = None  # folder of prepared objects; none by default
+    cache: CacheOption = "user"  # folder of prepared objects; "user": the user's own
     prepare: PrepareConfig = field(default_factory=PrepareConfig)
     settle: SettleConfig = field(default_factory=SettleConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
@@ -189,6 +190,17 @@ def generate(
         failed=len(todo) - produced,
         counts=counts,
     )
+
+
+def _refuse_another(store: DatasetStore, source: ObjectSource) -> None:
+    """Refuse to continue with an object whose source has changed under the same id."""
+    described = read_json(store.objects / source.object_id / OBJECT_FILE)
+    before, now = described["report"]["source"]["sha256"], content_hash(source.path)
+    if before != now:
+        raise OutputError(
+            f"{store.root} holds {source.object_id!r} made from another content of "
+            f"{source.path} (sha256 {before[:12]}..., now {now[:12]}...); give another folder"
+        )
 
 
 def _annotate(task: _Task) -> _Outcome:

@@ -1,0 +1,157 @@
+"""The commands `gmdx bench ...`: the figures of `studies.throughput` on objects of choice."""
+
+import dataclasses
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.table import Table
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from gmdx.errors import UsageError
+from gmdx.terminal import console, following, say
+
+if TYPE_CHECKING:
+    from gmdx.scenes.scene import Scene
+
+_Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")]
+_Gripper = Annotated[str, arg(metavar="NAME|FILE")]
+_Json = FlagCreatePairsOff[bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class Pipeline:
+    """Seconds per grasp of the whole pipeline by stage, and what more workers bring."""
+
+    objects: _Objects = ("bundled",)
+    """what to annotate"""
+    grasps: int = 64
+    """grasps per scene"""
+    scenes: int = 2
+    """scenes per object"""
+    workers: Annotated[str, arg(metavar="N,N,...")] = "1"
+    """numbers of processes to compare; the first run gives the figures by stage"""
+    json: _Json = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Prepare the objects once, run the rest with each number of workers, and show both."""
+        from gmdx.dataset.read import read_dataset
+        from gmdx.pipeline import GenerateConfig, generate
+        from gmdx.studies.throughput import pipeline_figures, rows, worker_figures
+
+        counts = _numbers(self.workers)
+        with tempfile.TemporaryDirectory() as folder:
+            cache = Path(folder) / "cache"
+            config = GenerateConfig(grasps=self.grasps, scenes=self.scenes, cache=cache)
+
+            def run(workers: int) -> None:
+                with following("grasps") as show:
+                    chosen = dataclasses.replace(config, workers=workers)
+                    out = Path(folder) / f"workers{workers}"
+                    generate(self.objects, out, chosen, on_progress=show)
+
+            first = dataclasses.replace(config, grasps=1, scenes=1, workers=max(counts))
+            with following("grasps") as show:
+                generate(self.objects, Path(folder) / "first", first, on_progress=show)
+            compared = worker_figures(run, counts)
+            figures = pipeline_figures(read_dataset(Path(folder) / f"workers{counts[0]}"))
+            prepared = pipeline_figures(read_dataset(Path(folder) / "first")).prepare_seconds
+        figures = dataclasses.replace(figures, prepare_seconds=prepared)
+        if self.json:
+            runs = [dataclasses.asdict(run) for run in compared]
+            values = {**dataclasses.asdict(figures), "total": figures.total, "workers": runs}
+            say(json.dumps(values, indent=1))
+            return 0
+        table = Table("stage", "processor time", title="gmdx bench pipeline")
+        for name, value in rows(figures):
+            table.add_row(name, value)
+        for item in compared:
+            what = f"{item.wall_seconds:.1f} s on the clock, {item.ratio:.2f} times the first"
+            table.add_row(f"{item.workers} workers", what)
+        console().print(table)
+        return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Trials:
+    """Trials per second, and the part of them spent inside the engine's step."""
+
+    objects: _Objects = ("bundled",)
+    """what to grasp"""
+    grasps: int = 64
+    """grasps per object, five trials each"""
+    gripper: _Gripper = "parallel_jaw"
+    """a shipped gripper, or the description of your own"""
+    json: _Json = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Run one batch per object."""
+        from gmdx.scenes.gripper import load_gripper
+        from gmdx.studies.throughput import trial_figures
+
+        gripper = load_gripper(self.gripper)
+        found = [
+            trial_figures(scene, grasps=self.grasps, gripper=gripper)
+            for scene in _scenes(self.objects)
+        ]
+        _show("gmdx bench trials", found, as_json=self.json)
+        return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Depth:
+    """Depth images per second."""
+
+    objects: _Objects = ("bundled",)
+    """what to look at"""
+    images: int = 16
+    """images per object"""
+    json: _Json = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Render every object several times."""
+        from gmdx.studies.throughput import depth_figures
+
+        found = [depth_figures(scene, images=self.images) for scene in _scenes(self.objects)]
+        _show("gmdx bench depth (640 x 480)", found, as_json=self.json)
+        return 0
+
+
+def _numbers(text: str) -> list[int]:
+    """`1,2` as numbers."""
+    try:
+        numbers = [int(word) for word in text.split(",")]
+    except ValueError as error:
+        raise UsageError(f"--workers takes numbers such as 1,2, not {text!r}") from error
+    if min(numbers) < 1:
+        raise UsageError(f"--workers takes numbers from 1 on, not {text!r}")
+    return numbers
+
+
+def _scenes(objects: tuple[str, ...]) -> Iterator["Scene"]:
+    """One scene of each object, which is prepared without a cache."""
+    from gmdx.objects.catalog import resolve
+    from gmdx.objects.prepare import PrepareConfig, prepare
+    from gmdx.scenes.settle import settle
+
+    for source in resolve(list(objects)):
+        yield settle(prepare(source, config=PrepareConfig(), cache=None))
+
+
+def _show(title: str, found: list[Any], *, as_json: bool) -> None:
+    """Records of figures as a table, a row each, or as JSON."""
+    values = [dataclasses.asdict(item) for item in found]
+    if as_json:
+        say(json.dumps(values, indent=1))
+        return
+    table = Table(title=title)
+    for name in values[0]:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in values:
+        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
+    console().print(table)

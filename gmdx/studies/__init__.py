@@ -1,0 +1,1 @@
+"""Figures about the pipeline itself: speed, and later bias and sensitivity."""
