@@ -36,7 +36,7 @@ def collides(
     """
     if model is None:
         model = grasp_model(scene.object, gripper, PhysicsConfig())
-    positions, quaternions = object_in_gripper(scene, grasps)
+    positions, quaternions = object_in_gripper(scene, grasps.center, grasps.angle)
     fingers = gripper.finger_positions(grasps.width)
     body = model.model.geom_bodyid
     hand = (body != 0) & (body != model.object_body)
@@ -52,14 +52,19 @@ def collides(
 
 
 def object_in_gripper(
-    scene: Scene, grasps: PlanarGrasp
+    scene: Scene, center: Float[Array, "n 3"], angle: Float[Array, "n"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 4"]]:
-    """The object's position (m) and quaternion seen from below each grasp's tool point.
+    """The object's positions (m) and quaternions in the frames of n grasps.
 
-    The frame has the gripper's axes; its origin is on the table below the tool point.
+    A frame has the gripper's axes; its origin is on the table below the tool point.
+
+    Args:
+        scene: The object at rest.
+        center: Tool points in the world, m.
+        angle: Closing axes about the world's z, rad.
     """
-    turn = yaw_quaternion(-grasps.angle)
-    offset = scene.position - grasps.center * np.array([1.0, 1.0, 0.0])
+    turn = yaw_quaternion(-angle)
+    offset = scene.position - center * np.array([1.0, 1.0, 0.0])
     positions = np.einsum("nij,nj->ni", quaternion_matrix(turn), offset)
     quaternions = quaternion_multiply(turn, np.broadcast_to(scene.quaternion, turn.shape))
     return positions, quaternions

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_NO_CLOSURE = 1e-9  # a quality this small is rounding: contacts that span no ball
+
+
 @dataclass(frozen=True)
 class MetricConfig:
     """What the metrics assume and how tightly the qualities are bounded.
@@ -255,8 +258,10 @@ def _quality(
             origin=np.zeros(3),
             rtol=rtol,
         )
-        lower[both] = np.where(result.closure, np.maximum(result.lower, 0.0), 0.0)
-        upper[both] = np.where(result.closure, result.upper, 0.0)
+        # Without closure both bounds are 0; where closure could be neither proved nor refuted,
+        # the lower one is.
+        lower[both] = np.where(result.closure, result.lower, 0.0)
+        upper[both] = np.where(result.upper > _NO_CLOSURE, result.upper, 0.0)
     return lower, upper
 
 
