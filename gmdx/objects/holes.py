@@ -69,13 +69,13 @@ def smallest_triangulation(points: Float[Array, "n 3"]) -> Int[Array, "m 3"]:
             choice = int(np.argmin(cost))
             best[i, k], middle[i, k] = cost[choice], j[choice]
     triangles: list[tuple[int, int, int]] = []
-    open_spans = [(0, n - 1)]
+    open_spans: list[tuple[int, int]] = [(0, n - 1)]
     while open_spans:
-        i, k = open_spans.pop()
-        if k - i >= 2:
-            j = int(middle[i, k])
-            triangles.append((i, j, k))
-            open_spans += [(i, j), (j, k)]
+        first, last = open_spans.pop()
+        if last - first >= 2:
+            between = int(middle[first, last])
+            triangles.append((first, between, last))
+            open_spans += [(first, between), (between, last)]
     return np.array(triangles, np.int64)
 
 

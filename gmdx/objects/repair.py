@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
-import fast_simplification
 import numpy as np
 import trimesh
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import MeshError
-from gmdx.objects.fidelity import SurfaceIndex, surface_samples
 from gmdx.objects.holes import fill_holes
 from gmdx.objects.mesh import (
     as_trimesh,
@@ -20,9 +18,9 @@ from gmdx.objects.mesh import (
     merge_vertices,
     patches,
 )
+from gmdx.objects.simplify import Simplified, simplify_closed, simplify_open
 from gmdx.objects.solid import from_manifold, thicken, to_manifold
 from gmdx.objects.winding import consistent_faces, misfit, signed_volumes, winding_number
-from gmdx.rng import generator
 
 
 @dataclass(frozen=True)
@@ -55,6 +53,7 @@ class RepairedMesh:
     mesh: trimesh.Trimesh
     steps: tuple[RepairStep, ...]
     watertight_source: bool  # the source was closed once its vertices were merged
+    source_volume: float | None  # enclosed by the source, if it was closed and wound alike
     misfit: float  # share of the surface that does not part inside from outside
     bodies: int  # separate closed parts
 
@@ -70,6 +69,12 @@ class _Work:
     def done(self, name: str, **detail: Any) -> None:
         self.steps.append(RepairStep(name, detail))
 
+    def apply(self, name: str, simple: Simplified) -> None:
+        """Take over a simplified surface."""
+        detail: dict[str, Any] = {"before": len(self.faces), "after": len(simple.faces)}
+        self.vertices, self.faces = simple.vertices, simple.faces
+        self.done(name, **detail, deviation=simple.deviation, volume_ratio=simple.volume_ratio)
+
 
 def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> RepairedMesh:
     """Close a mesh: merge, clean, orient, fill small holes, and make solid what is still open.
@@ -84,6 +89,9 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
     _clean(work, tolerance=config.merge * diagonal)
     check_triangles("mesh after merging equal vertices", work.vertices, work.faces)
     watertight_source = is_closed(work.faces)
+    source_volume = None
+    if watertight_source and is_consistent(work.faces):
+        source_volume = abs(_volume(work))
     if not watertight_source:
         _drop_flaps(work, share=config.flap)
         filled = fill_holes(work.vertices, work.faces, widest=config.hole * diagonal)
@@ -94,11 +102,19 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
     if turned.any() and is_closed(faces) and is_consistent(faces):
         work.faces = faces
         work.done("turn faces to agree", faces=int(turned.sum()))
-    if not _closed_parts(work, config=config):
+    wrong = _closed_parts(work, config=config)
+    if wrong is None:
         _make_solid(work, thickness=config.shell * diagonal, config=config)
+        wrong = misfit(work.vertices, work.faces)
     if len(work.faces) > config.max_faces:
-        _simplify(work, config=config, diagonal=diagonal)
-    volume = float(signed_volumes(work.vertices, work.faces, np.zeros(len(work.faces), int))[0])
+        simple = simplify_closed(
+            work.vertices,
+            work.faces,
+            max_faces=config.max_faces,
+            bound=config.max_deviation * diagonal,
+        )
+        work.apply("simplify", simple)
+    volume = _volume(work)
     if volume <= 1e-9 * diagonal**3:
         raise MeshError(
             f"the closed surface encloses no volume ({volume:.3g} for a diagonal of {diagonal:.3g})"
@@ -107,7 +123,8 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
         mesh=as_trimesh(work.vertices, work.faces),
         steps=tuple(work.steps),
         watertight_source=watertight_source,
-        misfit=misfit(work.vertices, work.faces),
+        source_volume=source_volume,
+        misfit=wrong,
         bodies=int(patches(work.faces).max()) + 1,
     )
 
@@ -150,10 +167,13 @@ def _drop_flaps(work: _Work, *, share: float) -> None:
         )
 
 
-def _closed_parts(work: _Work, *, config: RepairConfig) -> bool:
-    """Face closed parts outward and unite them; False if that gives no proper solid."""
+def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:
+    """Face closed parts outward and unite them.
+
+    Returns the misfit of the outcome, or None if that gives no proper solid.
+    """
     if not (is_closed(work.faces) and is_consistent(work.faces)):
-        return False
+        return None
     label = patches(work.faces)
     volumes = signed_volumes(work.vertices, work.faces, label)
     keep = np.abs(volumes) >= config.debris * np.abs(volumes).max()
@@ -174,8 +194,8 @@ def _closed_parts(work: _Work, *, config: RepairConfig) -> bool:
     if turned.any():
         steps.append(RepairStep("turn inside-out parts", {"faces": int(turned.sum())}))
     if len(volumes) > 1:
-        if not _valid(vertices, faces):
-            return False
+        if to_manifold(vertices, faces).is_empty():
+            return None
         order = np.argsort(-np.abs(volumes), kind="stable")
         solid = to_manifold(vertices, faces[label == order[0]])
         for part in order[1:]:
@@ -191,11 +211,11 @@ def _closed_parts(work: _Work, *, config: RepairConfig) -> bool:
     wrong = misfit(vertices, faces) if len(faces) else 1.0
     if wrong > config.misfit:
         work.done("found self-intersection", area_share=wrong)
-        return False
+        return None
     used, compact = np.unique(faces, return_inverse=True)
     work.vertices, work.faces = vertices[used], compact.reshape(-1, 3)
     work.steps.extend(steps)
-    return True
+    return wrong
 
 
 def _nesting(
@@ -228,24 +248,16 @@ def _nesting(
     return signs, depths
 
 
-def _valid(vertices: Array, faces: Array) -> bool:
-    return not to_manifold(vertices, faces).is_empty()
+def _volume(work: _Work) -> float:
+    part = np.zeros(len(work.faces), int)
+    return float(signed_volumes(work.vertices, work.faces, part)[0])
 
 
 def _make_solid(work: _Work, *, thickness: float, config: RepairConfig) -> None:
     """Replace a surface that is not closed by a solid."""
     if len(work.faces) > config.max_open_faces:
-        dense = work.vertices, work.faces
-        points, faces = fast_simplification.simplify(
-            work.vertices, work.faces, target_count=config.max_open_faces
-        )
-        work.vertices, work.faces = np.asarray(points, float), np.asarray(faces, np.int64)
-        work.done(
-            "simplify open surface",
-            before=len(dense[1]),
-            after=len(work.faces),
-            deviation=_deviation(*dense, work.vertices, work.faces),
-        )
+        simple = simplify_open(work.vertices, work.faces, max_faces=config.max_open_faces)
+        work.apply("simplify open surface", simple)
     area = as_trimesh(work.vertices, work.faces).area_faces
     kept = work.faces[area > 1e-10 * area.max()]
     open_edges = int((edge_counts(kept) == 1).sum())
@@ -260,41 +272,6 @@ def _make_solid(work: _Work, *, thickness: float, config: RepairConfig) -> None:
         shell_share=solid.sheet_share,
         shell_thickness=thickness,
     )
-
-
-def _simplify(work: _Work, *, config: RepairConfig, diagonal: float) -> None:
-    """Fewer faces; no point of the surface moves by more than the bound."""
-    solid = to_manifold(work.vertices, work.faces)
-    if solid.is_empty():
-        raise MeshError(f"the surface of {len(work.faces)} faces is closed but not manifold")
-    before, volume = len(work.faces), float(solid.volume())
-    tolerance = config.max_deviation * diagonal / 64
-    simple = solid.simplify(tolerance)
-    while simple.num_tri() > config.max_faces and tolerance < config.max_deviation * diagonal:
-        tolerance *= 2
-        simple = solid.simplify(tolerance)
-    dense = work.vertices, work.faces
-    work.vertices, work.faces = from_manifold(simple)
-    work.done(
-        "simplify",
-        before=before,
-        after=len(work.faces),
-        bound=tolerance,
-        deviation=_deviation(*dense, work.vertices, work.faces),
-        volume_ratio=float(simple.volume()) / volume,
-    )
-
-
-def _deviation(
-    vertices: Float[Array, "v 3"],
-    faces: Int[Array, "f 3"],
-    simple_vertices: Float[Array, "w 3"],
-    simple_faces: Int[Array, "g 3"],
-) -> float:
-    """Largest distance of 5000 points of a surface from its simplified copy."""
-    points, _ = surface_samples(vertices[faces], 5000, generator(0, "deviation"))
-    index = SurfaceIndex(simple_vertices[simple_faces])
-    return float(index.distance(points).max())
 
 
 def _diagonal(points: Float[Array, "n 3"]) -> float:

@@ -60,9 +60,7 @@ def without_specks(solid: manifold3d.Manifold, *, smallest: float) -> manifold3d
     return unite([part for part in solid.decompose() if part.volume() > smallest])
 
 
-def thicken(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, thickness: float
-) -> Solid:
+def thicken(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, thickness: float) -> Solid:
     """A solid from any triangles: closed-off space is filled, what is open becomes a shell.
 
     Every triangle is thickened to a prism, the convex hull of its two copies that are moved by
@@ -95,13 +93,15 @@ def thicken(
     # Triangles that pass through others can be wall in one place and inside in another; what is
     # too much of a wall then lies inside, and what is inside with space on both sides needs none.
     sheet = open_above & open_below
+    wall_above = np.any(space_above & ~space_below, axis=1)
+    wall_below = np.any(space_below & ~space_above, axis=1)
     inner = _OVERLAP * half * normals
     solid = unite(
         [
             space,
-            *_prisms(corners, corners + inner, select=(space_above & ~space_below).any(axis=1)),
-            *_prisms(corners, corners - inner, select=(space_below & ~space_above).any(axis=1)),
-            *_prisms(above, below, select=sheet.any(axis=1)),
+            *_prisms(corners, corners + inner, select=wall_above),
+            *_prisms(corners, corners - inner, select=wall_below),
+            *_prisms(above, below, select=np.any(sheet, axis=1)),
         ]
     ).simplify(0.01 * thickness)
     solid = without_specks(solid, smallest=1e-3 * thickness**3)

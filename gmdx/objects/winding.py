@@ -67,7 +67,7 @@ def winding_number(
 
 
 def misfit(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, evaluations: int = 2_000_000
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, evaluations: int = 1_000_000
 ) -> float:
     """Share of a closed surface's area that does not part outside (0) from inside (1).
 
