@@ -22,7 +22,7 @@ class NoiseConfig:
     """
 
     position: float = 0.0025  # m, of the grasp's centre along each horizontal axis
-    height: float = 0.001  # m
+    height: float = 0.0005  # m
     angle: float = 0.05  # rad, of the closing axis
 
 
@@ -59,7 +59,10 @@ class TrialConfig:
 
 @dataclass(frozen=True)
 class Phase:
-    """One phase compiled to steps; heights are relative to the grasp's."""
+    """One phase compiled to steps: heights at the start of each step, speeds during it.
+
+    Heights are relative to the grasp's.
+    """
 
     name: str
     approach: Float[Array, "s"]  # share of the start's height above the grasp that is left
@@ -149,10 +152,14 @@ def _steps(duration: float, dt: float) -> int:
 
 
 def _minimum_jerk(steps: int, dt: float) -> tuple[Float[Array, "s"], Float[Array, "s"]]:
-    """A rise from 0 to 1 that starts and ends at rest (Flash and Hogan 1985), and its rate."""
-    s = np.arange(1, steps + 1) / steps
+    """A rise from 0 to 1 that starts and ends at rest (Flash and Hogan 1985).
+
+    Returns the height at the start of each step and the speed during it, which is what a
+    servo needs to follow a motion exactly under semi-implicit integration.
+    """
+    s = np.arange(steps + 1) / steps
     rise = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    return rise, 30.0 * s**2 * (1.0 - s) ** 2 / (steps * dt)
+    return rise[:-1], np.diff(rise) / dt
 
 
 def _phase(

@@ -60,7 +60,7 @@ def test_too_heavy_to_lift_is_lost() -> None:
 
 
 def test_diverged_simulation_is_named_and_measures_nothing() -> None:
-    wild = TrialConfig(physics=PhysicsConfig(timestep=0.2))
+    wild = TrialConfig(physics=PhysicsConfig(drive_frequency=5000.0))  # unstable servo
     trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=wild)
     assert np.all(trials.outcome == Outcome.DIVERGED)
     assert np.isnan(trials.push_force[0])
@@ -80,7 +80,7 @@ def test_engine_warnings_leave_no_file_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    wild = TrialConfig(physics=PhysicsConfig(timestep=0.2))
+    wild = TrialConfig(physics=PhysicsConfig(drive_frequency=5000.0))  # unstable servo
     run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=wild)
     assert list(tmp_path.iterdir()) == []
 

@@ -1,8 +1,12 @@
+import mujoco
 import numpy as np
 import pytest
 
 from gmdx.errors import ConfigError
+from gmdx.scenes.build import grasp_model
+from gmdx.scenes.gripper import load_gripper
 from gmdx.trials.protocol import Schedule, TrialConfig, compile_schedule
+from tests.support import box_object
 
 CONFIG = TrialConfig()
 DT = CONFIG.physics.timestep
@@ -13,21 +17,34 @@ def schedule() -> Schedule:
     return compile_schedule(CONFIG, stroke=0.085, closing_force=20.0, descent=0.1)
 
 
-def test_controls_start_above_and_end_at_the_grasp(schedule: Schedule) -> None:
+def test_controls_lead_from_the_start_to_the_grasp(schedule: Schedule) -> None:
     grasp, start = np.array([0.02, 0.05]), np.array([0.1, 0.11])
     approach = schedule.approach.controls(grasp, start)
     assert approach.shape == (2, round(0.1 / CONFIG.approach_speed / DT), 3)
-    np.testing.assert_allclose(approach[:, -1, 1], 0.0, atol=1e-12)
-    np.testing.assert_allclose(approach[:, -1, 0], grasp, atol=2e-3)
+    np.testing.assert_allclose(approach[:, 0, 0], start, atol=1e-3)
     # The commanded speed integrates to the way down.
-    np.testing.assert_allclose(approach[..., 1].sum(axis=1) * DT, grasp - start, rtol=1e-3)
+    np.testing.assert_allclose(approach[..., 1].sum(axis=1) * DT, grasp - start)
     assert np.all(approach[..., 1] <= 1e-12)
+
+
+def test_gripper_follows_the_schedule_exactly(schedule: Schedule) -> None:
+    built = grasp_model(box_object((0.03, 0.04, 0.05)), load_gripper(), CONFIG.physics)
+    data = mujoco.MjData(built.model)
+    data.qpos[:8] = [0.0, 0.2, 0.025, 1.0, 0.0, 0.0, 0.0, 0.11]
+    start, grasp = np.array([0.11]), np.array([0.03])
+    for phase in (schedule.approach, schedule.lift):
+        first = start if phase is schedule.approach else grasp
+        for control in phase.controls(grasp, first)[0]:
+            data.ctrl[:] = control
+            mujoco.mj_step(built.model, data)
+        target = grasp[0] + (0.0 if phase is schedule.approach else CONFIG.lift_height)
+        assert data.qpos[7] == pytest.approx(target, abs=2e-5)
 
 
 def test_lift_rises_by_the_lift_height_and_hold_keeps_it(schedule: Schedule) -> None:
     at = np.array([0.03])
     lift = schedule.lift.controls(at, at)
-    assert lift[0, :, 1].sum() * DT == pytest.approx(CONFIG.lift_height, rel=1e-3)
+    assert lift[0, :, 1].sum() * DT == pytest.approx(CONFIG.lift_height, rel=1e-9)
     hold = schedule.hold.controls(at, at)
     np.testing.assert_allclose(hold[0, :, 0], 0.03 + CONFIG.lift_height)
     np.testing.assert_allclose(hold[0, :, 1], 0.0)
