@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 from rich.markup import escape
 from rich.table import Table
 
+from gmdx.arrays import Array, Float
 from gmdx.dataset.read import Dataset
 from gmdx.dataset.schema import OUTCOMES, Failure
 from gmdx.metrics.table import METRIC_NAMES
@@ -80,7 +81,7 @@ def overview(dataset: Dataset) -> Overview:
 
 
 def _line(
-    object_id: str, rows: pa.Table, values: Mapping[str, np.ndarray[Any, Any]], cpu_seconds: float
+    object_id: str, rows: pa.Table, values: Mapping[str, Array], cpu_seconds: float
 ) -> ObjectLine:
     force = values["force"][values["force"] > 0]
     return ObjectLine(
@@ -94,7 +95,7 @@ def _line(
     )
 
 
-def _mean(values: "np.ndarray[Any, Any]") -> float:
+def _mean(values: Float[Array, "n"]) -> float:
     """Mean of the values that exist."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else float("nan")
