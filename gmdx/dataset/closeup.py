@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gmdx.arrays import Array, Float
-from gmdx.dataset.draw import INK, DrawConfig, metric_named, new_figure
+from gmdx.dataset.figure import INK, DrawConfig, metric_named, new_figure
 from gmdx.errors import DatasetError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.metrics.patch import hull_corners

@@ -1,17 +1,14 @@
 """The picture of a scene: its depth image with grasps as rectangles, coloured by a metric."""
 
-import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gmdx.arrays import Array, Float, UInt8
+from gmdx.dataset.figure import INK, DrawConfig, check_colormap, metric_named, new_figure, with_unit
 from gmdx.errors import DatasetError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.metrics.table import METRICS, Metric
 from gmdx.scenes.camera import OBJECT, DepthImage
 
 if TYPE_CHECKING:
@@ -19,69 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARES = frozenset({"g_coll", "sim_coll", "sim_success"})  # coloured from 0 to 1, whatever occurs
-INK = "0.15"
 _NO_VALUE = "0.42"
 _AXES = (0.07, 0.165, 0.775, 0.705)  # of the image: left, bottom, width, height in the figure
 _BAR_LENGTHS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # m
-
-
-@dataclass(frozen=True)
-class DrawConfig:
-    """How pictures look."""
-
-    width: int = 1200  # pixels
-    height: int = 900  # pixels
-    dpi: int = 100
-    colormap: str = "plasma"  # of matplotlib, for the metric
-    pad_width: float = 0.02  # m, of a pad's face across the closing axis
-    crop: bool = True  # show what is around the object and the grasps, not the whole image
-    most: int | None = 20  # grasps drawn at most, spread over places and angles; None: all
-
-
-def metric_named(name: str) -> Metric:
-    """The metric of that name.
-
-    Raises:
-        UsageError: There is none.
-    """
-    known = {metric.name: metric for metric in METRICS}
-    if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f" (did you mean '{close[0]}'?)" if close else ""
-        raise UsageError(f"no metric '{name}'{hint}: there are {', '.join(known)}")
-    return known[name]
-
-
-def with_unit(metric: Metric) -> str:
-    """The metric's name, and its unit if it has one, for an axis or a colour bar."""
-    return f"{metric.name} ({metric.unit})" if metric.unit else metric.name
-
-
-def new_figure(config: DrawConfig) -> "Figure":
-    """An empty white figure that belongs to no window and no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    size = (config.width / config.dpi, config.height / config.dpi)
-    figure = Figure(figsize=size, dpi=config.dpi, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save_figure(figure: "Figure", path: str | Path) -> None:
-    """Write a figure; the name's ending (png, pdf, svg, ...) says in which format.
-
-    Raises:
-        UsageError: The format is unknown, or the file cannot be written.
-    """
-    path = Path(path)
-    known = figure.canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in known:
-        raise UsageError(f"cannot draw into {path}: the name must end in {', '.join(known)}")
-    try:
-        figure.savefig(path, dpi=figure.dpi)
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
 
 def project(points: Float[Array, "*n 3"], image: DepthImage) -> Float[Array, "*n 2"]:
@@ -152,10 +89,11 @@ def draw_scene(
         raise UsageError(
             f"no grasp {missing[0]} in this scene; it has the grasps {_spans(grasps.grasp_id)}"
         )
+    check_colormap(config.colormap)
     total, without = len(grasps), int((~np.isfinite(values)).sum())
     limits = _limits(metric, values[np.isfinite(values)])
     if config.most is not None and total > config.most:
-        chosen = _spread(grasps, max(config.most, len(highlight)), highlight)
+        chosen = _spread(grasps, max(config.most, len(set(highlight))), highlight)
         grasps, values = grasps[chosen], values[chosen]
     finite = np.isfinite(values)
     corners = project(grasp_rectangles(grasps, config.pad_width), image)
@@ -199,9 +137,11 @@ def _spread(grasps: PlanarGrasp, count: int, first: Sequence[int]) -> Array:
     turn = 2 * grasps.angle
     reach = max(float(np.linalg.norm(places, axis=1).max()), 1e-9)
     points = np.column_stack([places / reach, np.cos(turn), np.sin(turn)])
-    chosen = [int(np.flatnonzero(grasps.grasp_id == grasp_id)[0]) for grasp_id in first] or [0]
+    chosen = [int(np.flatnonzero(grasps.grasp_id == grasp_id)[0]) for grasp_id in set(first)]
+    chosen = chosen if chosen else [0]
     gap = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
     while len(chosen) < count:
+        gap[chosen] = -1.0
         chosen.append(int(gap.argmax()))
         gap = np.minimum(gap, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return np.sort(chosen)
