@@ -1,13 +1,11 @@
-"""Depth images of a scene by ray casting: no GL, no window, no GPU."""
+"""Depth images of a scene, drawn by scan lines on the CPU: no GL, no window."""
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
-from gmdx.arrays import Array, Float, UInt8
+from gmdx.arrays import Array, Float, Int, UInt8
 from gmdx.errors import ConfigError, UsageError
-from gmdx.objects.model import ObjectModel
 from gmdx.scenes.scene import Scene
 
 TABLE = 0
@@ -98,134 +96,98 @@ def camera_pose(view: int, config: CameraConfig) -> Float[Array, "4 4"]:
     return pose
 
 
-class DepthCamera:
-    """Renders scenes of one object, whose surface is compiled for ray casting once."""
-
-    def __init__(self, obj: ObjectModel, config: CameraConfig | None = None) -> None:
-        self.object = obj
-        self.config = CameraConfig() if config is None else config
-        self._model, self._data = _compile_surface(obj)
-
-    def render(self, scene: Scene, *, view: int = 0) -> DepthImage:
-        """Depth and segmentation of `scene`.
-
-        Args:
-            scene: The scene; its object must be this camera's.
-            view: Which of the configured views.
-
-        Returns:
-            The image; where the surface dips under the table, the table is seen.
-
-        Raises:
-            UsageError: The scene shows another object, or there is no such view.
-            ConfigError: The object reaches up to the camera.
-        """
-        if scene.object is not self.object:
-            raise UsageError(
-                f"this camera renders object {self.object.object_id!r}, not "
-                f"{scene.object.object_id!r}: make a DepthCamera for each object"
-            )
-        K, pose = intrinsics(self.config), camera_pose(view, self.config)
-        R, eye = pose[:3, :3], pose[:3, 3]
-        u = (np.arange(self.config.width) - K[0, 2]) / K[0, 0]
-        v = (np.arange(self.config.height) - K[1, 2]) / K[1, 1]
-
-        # Ray of pixel (i, j): eye + depth * (u_j, v_i, 1), in the camera's frame.
-        descent = R[2, 0] * u[None, :] + R[2, 1] * v[:, None] + R[2, 2]
-        depth = (-eye[2] / descent).astype(np.float32)
-        segmentation = np.zeros(depth.shape, np.uint8)
-
-        rows, columns = self._window(scene, K, pose)
-        if rows.start < rows.stop and columns.start < columns.stop:
-            nearest = self._cast(scene, pose, u[columns], v[rows])
-            seen = nearest < depth[rows, columns]
-            depth[rows, columns][seen] = nearest[seen]
-            segmentation[rows, columns][seen] = OBJECT
-        return DepthImage(depth=depth, segmentation=segmentation, intrinsics=K, pose=pose)
-
-    def _window(
-        self, scene: Scene, K: Float[Array, "3 3"], pose: Float[Array, "4 4"]
-    ) -> tuple[slice, slice]:
-        """Rows and columns of the image between which all of the object lies."""
-        turn = pose[:3, :3].T @ scene.rotation
-        points = self.object.vertices @ turn.T + (scene.position - pose[:3, 3]) @ pose[:3, :3]
-        nearest = points[:, 2].min()
-        if nearest < 0.01 * self.config.distance:
-            raise ConfigError(
-                f"object {self.object.object_id!r} in scene {scene.scene_id} reaches up to the "
-                f"camera at {self.config.distance} m: raise CameraConfig.distance"
-            )
-        pixels = points[:, :2] / points[:, 2:] * K[0, 0] + K[:2, 2]
-        first = np.floor(pixels.min(axis=0)).astype(int)
-        last = np.ceil(pixels.max(axis=0)).astype(int)
-        (left, top) = np.maximum(first, 0)
-        right = min(last[0], self.config.width - 1)
-        bottom = min(last[1], self.config.height - 1)
-        return slice(int(top), int(bottom) + 1), slice(int(left), int(right) + 1)
-
-    def _cast(
-        self,
-        scene: Scene,
-        pose: Float[Array, "4 4"],
-        u: Float[Array, "w"],
-        v: Float[Array, "h"],
-    ) -> Float[Array, "h w"]:
-        """Depth of the surface along the rays (u_j, v_i, 1), m; infinite where there is none."""
-        rays = np.empty((len(v), len(u), 3))
-        rays[..., 0] = u
-        rays[..., 1] = v[:, None]
-        rays[..., 2] = 1.0
-        # The surface stays where it was compiled; the camera moves into the object's frame.
-        rays = rays.reshape(-1, 3) @ (scene.rotation.T @ pose[:3, :3]).T
-        eye = scene.to_object(pose[:3, 3])
-        geom = np.empty(len(rays), np.int32)
-        # Distances come in units of the ray's length, and a ray is 1 long along the optical axis.
-        depth = np.empty(len(rays))
-        mujoco.mj_multiRay(
-            self._model,
-            self._data,
-            eye,
-            rays.reshape(-1),
-            None,
-            True,
-            -1,
-            geom,
-            depth,
-            None,
-            len(rays),
-            mujoco.mjMAXVAL,
-        )
-        depth[geom < 0] = np.inf
-        return depth.reshape(len(v), len(u))
-
-
 def render(scene: Scene, *, view: int = 0, config: CameraConfig | None = None) -> DepthImage:
-    """Depth and segmentation of one scene; for many scenes of an object, use a DepthCamera.
+    """Depth and segmentation of a scene, as seen from one view.
 
     Args:
         scene: The scene.
         view: Which of the configured views.
         config: The camera; the default one looks straight down.
 
+    Returns:
+        The image; where the object's surface dips under the table, the table is seen.
+
     Raises:
         UsageError: There is no such view.
         ConfigError: The object reaches up to the camera.
     """
-    return DepthCamera(scene.object, config).render(scene, view=view)
+    config = CameraConfig() if config is None else config
+    K, pose = intrinsics(config), camera_pose(view, config)
+    # 1 / depth is linear in the image: that of the table is a plane over u and v.
+    down = pose[2, :3] @ np.linalg.inv(K) / -pose[2, 3]
+    table = down[0] * np.arange(config.width) + down[1] * np.arange(config.height)[:, None]
+    table += down[2]
+
+    points = (scene.to_world(scene.object.vertices) - pose[:3, 3]) @ pose[:3, :3]
+    if points[:, 2].min() < 0.01 * config.distance:
+        raise ConfigError(
+            f"object {scene.object.object_id!r} in scene {scene.scene_id} reaches up to the "
+            f"camera at {config.distance} m: raise CameraConfig.distance"
+        )
+    pixels = points @ K.T
+    pixels = np.column_stack([pixels[:, :2], np.ones(len(pixels))]) / points[:, 2:]
+    surface = _rasterize(pixels, scene.object.faces, config.height, config.width)
+    return DepthImage(
+        depth=(1 / np.maximum(surface, table)).astype(np.float32),
+        segmentation=np.where(surface > table, OBJECT, TABLE).astype(np.uint8),
+        intrinsics=K,
+        pose=pose,
+    )
 
 
-def _compile_surface(obj: ObjectModel) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """A model that holds the object's surface alone, in the object's frame."""
-    spec = mujoco.MjSpec()
-    mesh = spec.add_mesh(
-        name="surface", uservert=obj.vertices.ravel(), userface=obj.faces.astype(np.int32).ravel()
-    )
-    # Nothing moves here, and a shell's inertia exists for every surface.
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="surface", contype=0, conaffinity=0
-    )
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return model, data
+def _rasterize(
+    points: Float[Array, "v 3"], faces: Int[Array, "f 3"], height: int, width: int
+) -> Float[Array, "height width"]:
+    """The largest 1 / depth of the triangles over each pixel's centre; 0 where there is none.
+
+    By scan lines: a pixel belongs to a triangle where the triangle, cut by the pixel's row,
+    spans its column. Where an edge crosses a row is computed in one way for both triangles
+    that share the edge, and spans are half open, so a closed surface shows no cracks.
+
+    Args:
+        points: u and v, pixels, and 1 / depth, 1/m.
+        faces: Vertices of each triangle, in either winding.
+        height: Rows of the image.
+        width: Columns of the image.
+    """
+    triangles = points[faces]
+    order = np.argsort(triangles[:, :, 1], axis=1, kind="stable")
+    triangles = np.take_along_axis(triangles, order[:, :, None], axis=1)  # by v
+    first = np.clip(np.ceil(triangles[:, 0, 1]), 0, height).astype(int)
+    end = np.clip(np.ceil(triangles[:, 2, 1]), 0, height).astype(int)
+
+    triangle, row = _ranges(first, end)
+    upper, middle, lower = np.moveaxis(triangles[triangle], 1, 0)
+    above = (row < middle[:, 1])[:, None]
+    long_side = _crossing(upper, lower, row)
+    short_side = _crossing(np.where(above, upper, middle), np.where(above, middle, lower), row)
+    swap = (long_side[:, 0] > short_side[:, 0])[:, None]
+    left, right = np.where(swap, short_side, long_side), np.where(swap, long_side, short_side)
+
+    first = np.clip(np.ceil(left[:, 0]), 0, width).astype(int)
+    end = np.clip(np.ceil(right[:, 0]), 0, width).astype(int)
+    span, column = _ranges(first, end)
+    slope = (right[:, 1] - left[:, 1]) / np.where(end > first, right[:, 0] - left[:, 0], 1.0)
+    nearness = left[span, 1] + (column - left[span, 0]) * slope[span]
+
+    image = np.zeros(height * width)
+    np.maximum.at(image, row[span] * width + column, nearness)
+    return image.reshape(height, width)
+
+
+def _ranges(
+    first: Int[Array, "n"], end: Int[Array, "n"]
+) -> tuple[Int[Array, "m"], Int[Array, "m"]]:
+    """The integers first[i] <= k < end[i] of all i, with the i of each: (i, k)."""
+    count = np.maximum(end - first, 0)
+    index = np.repeat(np.arange(len(first)), count)
+    return index, np.arange(len(index)) + np.repeat(first - np.cumsum(count) + count, count)
+
+
+def _crossing(
+    a: Float[Array, "n 3"], b: Float[Array, "n 3"], row: Int[Array, "n"]
+) -> Float[Array, "n 2"]:
+    """U and 1 / depth where the line from a to b crosses v = row."""
+    share = ((row - a[:, 1]) / (b[:, 1] - a[:, 1]))[:, None]
+    crossing: Array = a[:, ::2] + share * (b[:, ::2] - a[:, ::2])
+    return crossing

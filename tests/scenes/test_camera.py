@@ -9,11 +9,10 @@ import trimesh
 from gmdx.errors import ConfigError, UsageError
 from gmdx.geometry import random_quaternion
 from gmdx.rng import generator
-from gmdx.scenes.camera import CameraConfig, DepthCamera, DepthImage, camera_pose, render
+from gmdx.scenes.camera import CameraConfig, DepthImage, camera_pose, render
 from gmdx.scenes.scene import Scene
 from tests.support import (
     box_object,
-    cylinder_object,
     mesh_object,
     resting_scene,
     sphere_object,
@@ -222,16 +221,6 @@ def test_object_partly_or_wholly_out_of_the_image() -> None:
     for x, y in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
         gone = render(replace(scene, position=np.array([x, y, 0.025])))
         assert not gone.segmentation.any()
-
-
-def test_one_camera_renders_many_scenes_of_its_object() -> None:
-    obj = cylinder_object(0.02, 0.1)
-    camera = DepthCamera(obj)
-    for yaw in (0.0, 1.0):
-        scene = resting_scene(obj, quaternion=turned_quaternion((1, 0, 0), np.pi / 2), yaw=yaw)
-        np.testing.assert_array_equal(camera.render(scene).depth, render(scene).depth)
-    with pytest.raises(UsageError, match="renders object 'cylinder', not 'box'"):
-        camera.render(resting_scene(box_object((0.04, 0.04, 0.04))))
 
 
 def test_what_cannot_be_rendered_is_said() -> None:
