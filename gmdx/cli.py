@@ -128,6 +128,51 @@ class Inspect:
 
 
 @dataclasses.dataclass(frozen=True)
+class Show:
+    """Draw a scene's grasps over its depth image, or one grasp's contacts from close up."""
+
+    dataset: Annotated[Path, Positional, arg(metavar="DIR")]
+    """folder of the dataset"""
+    object: Annotated[str, arg(metavar="ID")]
+    """which object"""
+    out: Annotated[Path, arg(metavar="FILE", aliases=("-o",))]
+    """picture to write: .png, .pdf or .svg"""
+    scene: int = 0
+    """which scene of the object"""
+    metric: str = "sim_success"
+    """what the colours show; `gmdx metrics` lists the names"""
+    view: int = 0
+    """which image of the scene"""
+    most: int = 20
+    """draw at most so many grasps, spread over the scene; 0: all"""
+    grasp: Annotated[int | None, *_optional(int, "ID", "none")] = None
+    """draw this grasp from close up instead"""
+    gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "the dataset's")] = None
+    """for a close-up, where the dataset was made with a gripper of your own"""
+
+    def run(self) -> int:
+        """Write the picture."""
+        from gmdx.dataset.figure import save_figure
+        from gmdx.dataset.read import read_dataset
+        from gmdx.scenes.gripper import load_gripper
+        from gmdx.show import grasp_picture, scene_picture, shipped_gripper
+
+        dataset = read_dataset(self.dataset)
+        if self.grasp is None:
+            most = None if self.most == 0 else self.most
+            figure = scene_picture(
+                dataset, self.object, self.scene, metric=self.metric, view=self.view, most=most
+            )
+        else:
+            given = self.gripper
+            gripper = shipped_gripper(dataset) if given is None else load_gripper(given)
+            figure = grasp_picture(dataset, self.object, self.scene, self.grasp, gripper=gripper)
+        save_figure(figure, self.out)
+        say(f"wrote {self.out}")
+        return DONE
+
+
+@dataclasses.dataclass(frozen=True)
 class Metrics:
     """Print the table of the 36 metrics."""
 
@@ -267,6 +312,7 @@ _Command = (
     Annotated[Generate, named("generate")]
     | Annotated[Config, named("config")]
     | Annotated[Inspect, named("inspect")]
+    | Annotated[Show, named("show")]
     | Annotated[Metrics, named("metrics")]
     | Annotated[Prepare, named("prepare")]
     | Annotated[Bench, named("bench")]

@@ -300,12 +300,17 @@ def _lost(object_id: str, crash: Crash) -> _Outcome:
     return _Outcome(produced=False, grasps=0, failures=(failure,))
 
 
+def gripper_record(gripper: Gripper) -> dict[str, str]:
+    """A gripper as `dataset.json` names it."""
+    digest = hashlib.sha256(repr(gripper).encode()).hexdigest()
+    return {"name": gripper.name, "sha256": digest}
+
+
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
     """Everything that results depend on besides the objects."""
-    digest = hashlib.sha256(repr(gripper).encode()).hexdigest()
     return {
         "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
-        "gripper": {"name": gripper.name, "sha256": digest},
+        "gripper": gripper_record(gripper),
         "seed": config.seed,
         "backend": config.backend,
         "packages": {name: version(name) for name in PACKAGES},
