@@ -26,7 +26,7 @@ class LineConfig:
     between, and is well below the spacing of the lines.
     """
 
-    grid: tuple[int, int] = (5, 5)  # lines across the pad, and along the approach
+    grid: tuple[int, int] = (5, 5)  # lines across the pad and along it, from edge to edge
     touch_tolerance: float = 0.5e-3  # m, behind a pad's first touch that still belongs to it
 
 

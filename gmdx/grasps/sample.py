@@ -43,8 +43,9 @@ class SampleConfig:
     candidates: int = 16384  # of a scene; sampling ends there even if fewer grasps were found
     clearance: tuple[float, float] = (0.005, 0.010)  # m, range of the room beside the open pads
     least_clearance: float = 0.003  # m, where the stroke or the object allows no more
-    table_clearance: float = 0.001  # m, between the fingertips and the table
-    colliding_share: float = 0.25  # of the candidates that collide, kept as data on collisions
+    table_clearance: float = 0.003  # m, between the fingertips and the table
+    least_table_clearance: float = 0.0015  # m, where half the object's height is less than that
+    colliding_share: float = 0.15  # of the grasps, at most: those at which the gripper collides
     surface_points: int = 4000  # random ones that, with the vertices, decide on the opening
     lines: LineConfig = field(default_factory=LineConfig)  # find out what is between the pads
 
@@ -64,8 +65,9 @@ def sample_grasps(
     table to the object's top, and the angle over half a turn. `antipodal` takes pairs of surface
     points that face each other within their friction cones along a horizontal line. Both choose
     the smallest opening at which the fingers straddle the object with clearance, and leave out
-    what the stroke or the table forbids and what misses the object. Of the grasps at which the
-    open gripper still collides, a share is kept.
+    what the table forbids and what misses the object. Where the open gripper collides even so,
+    or cannot open far enough to straddle, a grasp is kept as data on collisions as long as
+    their share is small.
 
     Args:
         scene: The object at rest.
@@ -92,12 +94,12 @@ def sample_grasps(
     key = (obj.object_id, "scene", scene.scene_id, "grasps")
     place = _workplace(scene, gripper, config, generator(seed, *key))
 
-    passed = [_nothing()]
+    kept = _Kept()
     for candidates in _stream(place, sampler, generator(seed, *key, sampler)):
-        passed.append(_feasible(place, candidates))
-        if sum(map(len, passed)) >= n:
+        kept.add(_opened(place, candidates), place)
+        if len(kept) >= n:
             break
-    grasps = _joined(passed)[:n]
+    grasps = kept.grasps()[:n]
 
     where = f"object '{obj.object_id}', scene {scene.scene_id}"
     if not len(grasps):
@@ -123,7 +125,6 @@ class _Workplace:
     surface: Surface  # in the world
     points: Float[Array, "s 3"]  # m, that stand for the surface, in the world
     clearance: Float[Array, "c"]  # m, of each candidate by number
-    luck: Float[Array, "c"]  # of each candidate, uniform in [0, 1)
 
 
 def _workplace(
@@ -141,17 +142,14 @@ def _workplace(
         surface=surface,
         points=np.concatenate([surface.vertices, points]),
         clearance=rng.uniform(*config.clearance, config.candidates),
-        luck=rng.random(config.candidates),
     )
 
 
 def _stream(place: _Workplace, sampler: str, rng: np.random.Generator) -> Iterator[Candidates]:
-    config = place.config
+    config, top = place.config, place.surface.top
     # The fingertips stay above the table, and the palm above the object's highest point.
-    lowest = max(
-        place.hand.tip + config.table_clearance,
-        place.surface.top + config.least_clearance - place.hand.palm,
-    )
+    above = np.clip(0.5 * top, config.least_table_clearance, config.table_clearance)
+    lowest = max(place.hand.tip + float(above), top + config.least_clearance - place.hand.palm)
     if sampler == "dense":
         return dense(place.surface, config.candidates, lowest, rng)
     return antipodal(
@@ -164,8 +162,8 @@ def _stream(place: _Workplace, sampler: str, rng: np.random.Generator) -> Iterat
     )
 
 
-def _feasible(place: _Workplace, candidates: Candidates) -> PlanarGrasp:
-    """The candidates that the gripper can straddle the object at, with their openings."""
+def _opened(place: _Workplace, candidates: Candidates) -> PlanarGrasp:
+    """The candidates with their openings, as far as they have the object between the pads."""
     half = np.array(
         [
             _half_opening(place, center, angle, place.clearance[number])
@@ -175,48 +173,63 @@ def _feasible(place: _Workplace, candidates: Candidates) -> PlanarGrasp:
         ]
     ).reshape(len(candidates))
     grasps = PlanarGrasp(candidates.number, candidates.center, candidates.angle, 2 * half)
-    grasps = grasps[np.isfinite(half)]
     contacts = closing_contacts(
         place.scene, grasps, gripper=place.gripper, config=place.config.lines
     )
-    grasps = grasps[contacts.pads.both]
-    free = ~collides(place.scene, grasps, gripper=place.gripper, model=place.model)
-    return grasps[free | (place.luck[grasps.grasp_id] < place.config.colliding_share)]
+    return grasps[contacts.pads.both]
 
 
 def _half_opening(
     place: _Workplace, center: Float[Array, "3"], angle: float, clearance: float
 ) -> float:
-    """Half the smallest opening at which both fingers come down free of the object, m, or NaN.
+    """Half the smallest opening at which both fingers come down free of the object, m.
 
-    Seen along the closing axis, a finger that stands off by h fills [h, h + thickness]; so
-    both are free if no surface point in the slab that they sweep has |x| in that interval.
+    Half the stroke if there is none. Seen along the closing axis, a finger that stands off by h
+    fills [h, h + thickness]; so both are free if no surface point in the slab that they sweep
+    has |x| in that interval.
     """
     x, y = place.points[:, 0] - center[0], place.points[:, 1] - center[1]
     cos, sin = np.cos(angle), np.sin(angle)
     swept = np.abs(y * cos - x * sin) <= place.hand.half_span + _MARGIN
     swept &= place.points[:, 2] >= center[2] - place.hand.tip - _MARGIN
     off = np.sort(np.abs(x[swept] * cos + y[swept] * sin))
-    if not len(off):
-        return np.nan
     # Room behind each point for a finger's clearance: in the gap before the next point, and in
     # the stroke.
-    gap = np.append(np.diff(off), np.inf)
+    gap = np.diff(off, append=np.inf)
     room = np.minimum(0.5 * (gap - place.hand.thickness), 0.5 * place.gripper.stroke - off)
     enough = np.flatnonzero(room >= place.config.least_clearance)
     if not len(enough):
-        return np.nan
+        return 0.5 * place.gripper.stroke
     return float(off[enough[0]] + min(clearance, room[enough[0]]))
 
 
-def _nothing() -> PlanarGrasp:
-    return PlanarGrasp(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+class _Kept:
+    """Grasps kept so far; whether another is kept depends on those before it alone."""
 
+    def __init__(self) -> None:
+        self._batches: list[PlanarGrasp] = []
+        self._free = self._colliding = 0
 
-def _joined(batches: list[PlanarGrasp]) -> PlanarGrasp:
-    return PlanarGrasp(
-        np.concatenate([batch.grasp_id for batch in batches]),
-        np.concatenate([batch.center for batch in batches]),
-        np.concatenate([batch.angle for batch in batches]),
-        np.concatenate([batch.width for batch in batches]),
-    )
+    def __len__(self) -> int:
+        return self._free + self._colliding
+
+    def add(self, grasps: PlanarGrasp, place: _Workplace) -> None:
+        """Keep the grasps that collide with nothing, and a share of others among them."""
+        hits = collides(place.scene, grasps, gripper=place.gripper, model=place.model)
+        keep = ~hits
+        for i, hit in enumerate(hits):
+            if hit:
+                keep[i] = self._colliding + 1 <= place.config.colliding_share * (len(self) + 1)
+            self._free += int(not hit)
+            self._colliding += int(hit and keep[i])
+        self._batches.append(grasps[keep])
+
+    def grasps(self) -> PlanarGrasp:
+        """All of them, in the order they came."""
+        batches = self._batches
+        return PlanarGrasp(
+            np.concatenate([batch.grasp_id for batch in batches]),
+            np.concatenate([batch.center for batch in batches]),
+            np.concatenate([batch.angle for batch in batches]),
+            np.concatenate([batch.width for batch in batches]),
+        )

@@ -56,7 +56,7 @@ def test_box_is_touched_on_its_faces() -> None:
         contacts.center.points[0, :, 0], [[-0.02, 0.003, -0.01], [0.02, 0.003, -0.01]], atol=1e-15
     )
     size = np.ptp(points[0], axis=0)
-    np.testing.assert_allclose(size, [0, *(0.8 * GRIPPER.pad_size)], atol=1e-15)
+    np.testing.assert_allclose(size, [0, *GRIPPER.pad_size], atol=1e-15)
 
 
 def test_turned_box_is_touched_along_the_edges_that_come_first() -> None:
@@ -67,7 +67,7 @@ def test_turned_box_is_touched_along_the_edges_that_come_first() -> None:
     along = contacts.pads.points[0] @ axis
     for pad, sign in ((0, 1.0), (1, -1.0)):
         travel = sign * along[pad][contacts.pads.valid[0, pad]]
-        assert len(travel) == 5  # one column of the grid: the next is 4 mm tan 30 behind
+        assert len(travel) == 5  # one column of the grid: the next is 5 mm tan 30 behind
         assert np.ptp(travel) <= 0.5e-3
 
 
@@ -93,9 +93,9 @@ def test_tolerance_decides_what_belongs_to_the_first_touch() -> None:
         closing_contacts(
             scene, grasps, gripper=GRIPPER, config=LineConfig(touch_tolerance=t)
         ).pads.valid[0, 0].sum()
-        for t in (0.0, 0.4e-3, 0.65e-3, 0.01)
+        for t in (0.0, 0.5e-3, 0.95e-3, 0.01)
     ]  # fmt: skip
-    # Sagittas of lines 0, 4, 5.7 and 11.3 mm off the pole of a ball of 30 mm: 0, .27, .54, 2.2 mm
+    # Sagittas of lines 0, 5, 7.1 and 14 mm off the pole of a ball of 30 mm: 0, .42, .84, 3.5 mm
     assert counts == [1, 5, 9, 25]
 
 
@@ -126,13 +126,14 @@ def test_contacts_lie_on_the_surface_and_face_each_other(name: str) -> None:
     grasps = _random_grasps(scene, 25)
     contacts = closing_contacts(scene, grasps, gripper=GRIPPER)
     assert contacts.pads.both.any()
-    surface = trimesh.Trimesh(scene.object.vertices, scene.object.faces, process=False)
+    # In millimetres: the reference's tolerances are absolute, and coarse for triangles of 1e-3.
+    surface = trimesh.Trimesh(1e3 * scene.object.vertices, scene.object.faces, process=False)
     axis = grasps.axis @ scene.rotation
     for pad, sign in ((0, 1.0), (1, -1.0)):
         valid = contacts.pads.valid[:, pad]
         points = contacts.pads.points[:, pad][valid]
-        _, distance, _ = trimesh.proximity.closest_point_naive(surface, points)
-        assert distance.max() < 1e-9
+        _, distance, _ = trimesh.proximity.closest_point_naive(surface, 1e3 * points)
+        assert 1e-3 * distance.max() < 1e-9
         facing = np.einsum("nki,ni->nk", contacts.pads.normals[:, pad], sign * axis)[valid]
         assert (facing > 0).all()
         lengths = np.linalg.norm(contacts.pads.normals[:, pad][valid], axis=1)

@@ -60,7 +60,7 @@ def test_every_grasp_is_possible(name: str, sampler: str, gripper_name: str) -> 
     assert (grasps.center[:, 2] >= 0.5 * gripper.pad_size[1]).all()  # pads above the table
     assert (grasps.center[:, 2] <= max(top, 0.03) + 1e-9).all()
     assert closing_contacts(scene, grasps, gripper=gripper).pads.both.all()
-    assert collides(scene, grasps, gripper=gripper).mean() < 0.4
+    assert collides(scene, grasps, gripper=gripper).mean() <= SampleConfig().colliding_share
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
@@ -131,7 +131,7 @@ def test_dense_positions_lie_above_a_ring_not_in_its_hole() -> None:
 def test_antipodal_points_lie_in_each_others_friction_cones() -> None:
     scene = SCENES["ball"]
     grasps = sample_grasps(scene, 40, sampler="antipodal")
-    grasps = grasps[grasps.center[:, 2] > 0.0111]  # not raised off the pair by the table
+    grasps = grasps[grasps.center[:, 2] > 0.0131]  # not raised off the pair by the table
     contacts = closing_contacts(scene, grasps, gripper=GRIPPER).center
     assert contacts.both.all()
     cone = np.arctan(scene.object.friction)

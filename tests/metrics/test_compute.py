@@ -108,15 +108,12 @@ def test_box_grasped_straight_has_closed_forms() -> None:
 
 def test_box_grasped_askew_is_first_touched_at_an_edge() -> None:
     turn = 0.3
-    box = box_object((0.03, 0.03, 0.08))
-    scene = resting_scene(box)
+    scene = resting_scene(box_object((0.04, 0.04, 0.08)))
     table = _priori(scene, _grasps(scene, np.zeros((1, 3)), np.array([turn]), 0.0))
-    # By symmetry the two pads touch opposite places; the face is met one column of lines off the
-    # middle of the pad for each 4 mm of it, and only the first column lies within 0.5 mm.
-    across = 0.008
-    along = (0.015 - across * np.sin(turn)) / np.cos(turn)
-    other = (0.015 + across * np.sin(turn)) / np.cos(turn)
-    travel = max(along, other)
+    # Each pad first meets the tilted face at its own edge, 10 mm off the middle; the next lines,
+    # 5 mm further in, are 1.5 mm behind. By symmetry the two pads touch opposite places.
+    across = 0.01
+    travel = (0.02 + across * np.sin(turn)) / np.cos(turn)
     np.testing.assert_allclose(table["real_d_width"], 2 * np.hypot(across, travel), rtol=1e-9)
     np.testing.assert_allclose(table["real_d_offset_a"], np.arctan2(across, travel), rtol=1e-9)
     np.testing.assert_allclose(table["real_d_offset_l"], 0.0, atol=1e-12)

@@ -23,7 +23,7 @@ class FirstTouch:
 
 
 def pad_grid(pad_size: Float[Array, "2"], grid: tuple[int, int]) -> Float[Array, "l 2"]:
-    """Where lines cross a pad's face: centres of grid[0] x grid[1] equal cells.
+    """Where lines cross a pad's face: an even grid from edge to edge, or the middle for 1.
 
     Args:
         pad_size: Extents of the face, m: across, and along the approach.
@@ -33,7 +33,7 @@ def pad_grid(pad_size: Float[Array, "2"], grid: tuple[int, int]) -> Float[Array,
         Offsets from the face's centre, m: across, and along `up`.
     """
     across, along = (
-        ((np.arange(count) + 0.5) / count - 0.5) * size
+        np.linspace(-0.5, 0.5, count) * size if count > 1 else np.zeros(1)
         for count, size in zip(grid, pad_size, strict=True)
     )
     return np.stack([np.repeat(across, grid[1]), np.tile(along, grid[0])], axis=1)
