@@ -17,24 +17,22 @@ from mujoco import rollout
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.errors import TrialError
-from gmdx.geometry import quaternion_matrix
 from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import (
     HEIGHT_QPOS,
     HEIGHT_QVEL,
     OBJECT_QPOS,
-    OBJECT_QVEL,
-    SLOT_SIZE,
     GraspModel,
     grasp_model,
 )
+from gmdx.trials import frames
 from gmdx.trials.batch import RawTrials, TrialBatch
+from gmdx.trials.frames import Frames
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import Phase, Schedule, TrialConfig, compile_schedule
 from gmdx.trials.results import Snapshot
 
 _log = logging.getLogger("gmdx")
-_FACE_COSINE = np.cos(np.pi / 4)  # a contact this close to the closing axis is on a pad's face
 
 
 @dataclass(frozen=True)
@@ -77,16 +75,7 @@ def _quiet_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
 
 
-@dataclass(frozen=True)
-class _Frames:
-    """States after, and sensors at the start of, each of s steps of some trials."""
-
-    qpos: Float[Array, "a s q"]
-    qvel: Float[Array, "a s v"]
-    sensors: Float[Array, "a s d"]
-
-
-_Observe = Callable[[Int[Array, "a"], _Frames, slice], Bool[Array, "a"]]
+_Observe = Callable[[Int[Array, "a"], Frames, slice], Bool[Array, "a"]]
 
 
 class _Trials:
@@ -101,6 +90,7 @@ class _Trials:
         threads: int,
     ) -> None:
         self.scene, self.batch, self.config, self.pool = scene, batch, config, pool
+        self.layout = scene.sensors
         model = scene.model
         self.data = [mujoco.MjData(model) for _ in range(threads)]
         count = len(batch)
@@ -114,7 +104,7 @@ class _Trials:
         self.pose = np.full((count, len(Snapshot), 7), np.nan)
         self.height = np.full((count, len(Snapshot)), np.nan)
         self.opening = np.full(count, np.nan)
-        slots = scene.sensors.slots
+        slots = self.layout.slots
         self.points = np.full((count, 2, slots, 3), np.nan)
         self.normals = np.full((count, 2, slots, 3), np.nan)
         self.valid = np.zeros((count, 2, slots), bool)
@@ -165,55 +155,40 @@ class _Trials:
         self.state[:, 1 : 1 + self.scene.model.nq] = qpos
         self._snapshot(Snapshot.START)
 
-    def _watch_approach(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_approach(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
         """A touch by anything but a pad's face ends the trial."""
-        layout = self.scene.sensors
-        pads = np.stack([self._slots(frames.sensors, side) for side in (0, 1)], axis=-3)
-        by_pads = pads[..., 0, 0].sum(axis=-1)
-        off_face = (pads[..., 0] > 0) & (np.abs(pads[..., 8]) < _FACE_COSINE)
-        hit = (
-            (frames.sensors[..., layout.hand_table] > 0)
-            | (frames.sensors[..., layout.hand] > by_pads)
-            | np.any(off_face, axis=(-1, -2))
-        )
-        collided: Array = np.any(hit, axis=1)
+        collided = frames.collides(steps, self.layout)
         self.collision[rows] |= collided
         self.outcome[rows[collided]] = Outcome.COLLISION_IN_APPROACH
         return collided
 
-    def _watch_closing(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_closing(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
         """The phase ends early where neither fingers nor object move any more."""
-        self.touched[rows] |= np.any(frames.sensors[..., self.scene.sensors.hand] > 0, axis=1)
-        return self._still(frames)
+        self.touched[rows] |= frames.touches(steps, self.layout)
+        return self._still(steps)
 
-    def _watch_lift(self, rows: Int[Array, "a"], frames: _Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_lift(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
         """An object that no pad touches any more will not come back."""
-        lost: Array = ~np.any(self._pads_touch(frames.sensors[:, -1]), axis=1)
+        lost: Array = ~np.any(frames.pads_press(steps.sensors[:, -1], self.layout), axis=1)
         self.outcome[rows[lost]] = Outcome.LOST_IN_LIFT
         return lost
 
-    def _watch_hold(self, rows: Int[Array, "a"], frames: _Frames, steps: slice) -> Bool[Array, "a"]:
-        return self._watch_lift(rows, frames, steps) | self._still(frames)
+    def _watch_hold(self, rows: Int[Array, "a"], steps: Frames, span: slice) -> Bool[Array, "a"]:
+        return self._watch_lift(rows, steps, span) | self._still(steps)
 
     def _read_grip(self) -> None:
         """Contacts and opening at the end of closing; trials without a grip end here."""
-        layout, alive = self.scene.sensors, self._alive()
-        fingers = self.state[:, 1:][:, self.scene.finger_qpos]
-        self.opening[alive] = self.scene.gripper.opening(fingers[alive])
+        alive = np.flatnonzero(self._alive())
+        fingers = self.state[alive, 1:][:, self.scene.finger_qpos]
+        self.opening[alive] = self.scene.gripper.opening(fingers)
         # Sensors belong to the start of their step, so they go with the pose before it.
-        pose = self.qpos_at_sensors[:, OBJECT_QPOS]
-        to_object = quaternion_matrix(pose[:, 3:])
-        for side in (0, 1):
-            slots = self.sensors[:, layout.pads[side]].reshape(len(pose), layout.slots, SLOT_SIZE)
-            found = (slots[..., 0] > 0) & (slots[..., 1] > 0) & alive[:, None]
-            points = np.einsum("nki,nij->nkj", slots[..., 5:8] - pose[:, None, :3], to_object)
-            normals = np.einsum("nki,nij->nkj", slots[..., 8:11], to_object)
-            self.points[:, side] = np.where(found[..., None], points, np.nan)
-            self.normals[:, side] = np.where(found[..., None], normals, np.nan)
-            self.valid[:, side] = found
-        gripped = np.all(np.any(self.valid, axis=2), axis=1)
-        self.outcome[alive & ~gripped & self.touched] = Outcome.KNOCKED_AWAY
-        self.outcome[alive & ~gripped & ~self.touched] = Outcome.NO_CONTACT
+        pose = self.qpos_at_sensors[alive, OBJECT_QPOS]
+        contacts = frames.pad_contacts(self.sensors[alive], pose, self.layout)
+        self.points[alive], self.normals[alive] = contacts.points, contacts.normals
+        self.valid[alive] = contacts.valid
+        missed = alive[~contacts.both]
+        touched = self.touched[missed]
+        self.outcome[missed] = np.where(touched, Outcome.KNOCKED_AWAY, Outcome.NO_CONTACT)
 
     def _judge(self) -> None:
         """Success: risen with the gripper, off the table, between both pads."""
@@ -221,8 +196,8 @@ class _Trials:
         rise = self.pose[:, Snapshot.HELD, 2] - self.pose[:, Snapshot.CLOSED, 2]
         held = (
             (rise >= self.config.risen * self.config.lift_height)
-            & (self.sensors[:, self.scene.sensors.object_table] == 0)
-            & np.all(self._pads_touch(self.sensors), axis=1)
+            & (self.sensors[:, self.layout.object_table] == 0)
+            & np.all(frames.pads_press(self.sensors, self.layout), axis=1)
         )
         self.outcome[alive & held] = Outcome.SUCCESS
         self.outcome[alive & ~held] = Outcome.LOST_IN_LIFT
@@ -232,21 +207,21 @@ class _Trials:
         rows = np.flatnonzero(self.batch.nominal & (self.outcome == Outcome.SUCCESS))
         direction = np.array(self.config.push_direction)
         strength = phase.force @ direction
-        offset = self._offset(self.state[:, None, 1 : 1 + self.scene.model.nq])[:, 0] @ direction
+        offset = frames.from_tool(self.state[:, 1 : 1 + self.scene.model.nq]) @ direction
 
         mass, dt = self.batch.object.mass, self.config.physics.timestep
         last_velocity = self.state[:, 1 + self.scene.model.nq :][:, :3] @ direction
 
-        def watch(rows: Int[Array, "a"], frames: _Frames, steps: slice) -> Bool[Array, "a"]:
-            moved = self._offset(frames.qpos) @ direction - offset[rows, None]
-            velocity = frames.qvel[..., :3] @ direction
-            slip = velocity - frames.qvel[..., HEIGHT_QVEL] * direction[2]
+        def watch(rows: Int[Array, "a"], steps: Frames, span: slice) -> Bool[Array, "a"]:
+            moved = frames.from_tool(steps.qpos) @ direction - offset[rows, None]
+            velocity = steps.qvel[..., :3] @ direction
+            slip = velocity - steps.qvel[..., HEIGHT_QVEL] * direction[2]
             out = (slip > self.config.slip_speed) & (moved > self.config.push_distance)
             first = np.where(out.any(axis=1), out.argmax(axis=1), out.shape[1])
             # The grip bore the force less what already accelerated the object, as long as
             # the object did not slip.
             change = np.diff(velocity, axis=1, prepend=last_velocity[rows, None])
-            bore = strength[steps] - mass * change / dt
+            bore = strength[span] - mass * change / dt
             last_velocity[rows] = velocity[:, -1]
             held = (np.arange(out.shape[1]) < first[:, None]) & (slip <= self.config.slip_speed)
             last = held.shape[1] - 1 - held[:, ::-1].argmax(axis=1)
@@ -276,18 +251,17 @@ class _Trials:
         for start in range(0, len(phase), self.config.chunk):
             if len(rows) == 0:
                 return
-            steps = slice(start, min(start + self.config.chunk, len(phase)))
-            states, sensors = self._step(rows, phase, steps)
-            frames = _Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
-            sane = self._sane(frames)
+            span = slice(start, min(start + self.config.chunk, len(phase)))
+            states, sensors = self._step(rows, phase, span)
+            steps = Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
+            sane = frames.sane(steps, fastest=self.config.mad_speed)
             self.outcome[rows[~sane]] = Outcome.DIVERGED
-            rows, states, sensors = rows[sane], states[sane], sensors[sane]
-            frames = _Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
+            rows, steps, states = rows[sane], steps[sane], states[sane]
             before = states[:, -2] if states.shape[1] > 1 else self.state[rows]
             self.qpos_at_sensors[rows] = before[:, 1 : 1 + nq]
-            self.sensors[rows] = sensors[:, -1]
+            self.sensors[rows] = steps.sensors[:, -1]
             self.state[rows] = states[:, -1]
-            rows = rows[~observe(rows, frames, steps)]
+            rows = rows[~observe(rows, steps, span)]
 
     def _step(
         self, rows: Int[Array, "a"], phase: Phase, steps: slice
@@ -325,42 +299,8 @@ class _Trials:
         self.pose[alive, moment] = qpos[:, OBJECT_QPOS]
         self.height[alive, moment] = qpos[:, HEIGHT_QPOS]
 
-    def _slots(self, sensors: Float[Array, "*n d"], side: int) -> Float[Array, "*n k s"]:
-        layout = self.scene.sensors
-        return sensors[..., layout.pads[side]].reshape(*sensors.shape[:-1], layout.slots, SLOT_SIZE)
-
-    def _pads_touch(self, sensors: Float[Array, "a d"]) -> Bool[Array, "a 2"]:
-        """Whether any contact of each pad carries force."""
-        force = [self._slots(sensors, side)[..., 1].max(axis=-1) > 0 for side in (0, 1)]
-        return np.stack(force, axis=-1)
-
-    def _offset(self, qpos: Float[Array, "a s q"]) -> Float[Array, "a s 3"]:
-        """Object's position relative to the tool point, m."""
-        offset = qpos[..., :3].copy()
-        offset[..., 2] -= qpos[..., HEIGHT_QPOS]
-        return offset
-
-    def _still(self, frames: _Frames) -> Bool[Array, "a"]:
-        """Nothing moves at the end of these steps, the gripper's own rise aside."""
-        last = frames.qvel[:, -1].copy()
-        last[:, 2] -= last[:, HEIGHT_QVEL]
-        speed = np.linalg.norm(last[:, :3], axis=1)
-        spin = np.linalg.norm(last[:, 3:6], axis=1)
-        fingers = np.abs(last[:, HEIGHT_QVEL + 1 :]).max(axis=1)
-        still: Array = (np.maximum(speed, fingers) < self.config.still_speed) & (
-            spin < self.config.still_spin
-        )
-        return still
-
-    def _sane(self, frames: _Frames) -> Bool[Array, "a"]:
-        finite = np.isfinite(frames.qpos).all(axis=(1, 2)) & np.isfinite(frames.qvel).all(
-            axis=(1, 2)
-        )
-        with np.errstate(invalid="ignore", over="ignore"):
-            linear = np.delete(frames.qvel, np.arange(3, OBJECT_QVEL.stop), axis=2)
-            slow = np.abs(linear).max(axis=(1, 2)) < self.config.mad_speed
-        sane: Array = finite & slow
-        return sane
+    def _still(self, steps: Frames) -> Bool[Array, "a"]:
+        return frames.still(steps, speed=self.config.still_speed, spin=self.config.still_spin)
 
     def _check_memory(self) -> None:
         for kind in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL):
