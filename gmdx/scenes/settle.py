@@ -216,8 +216,8 @@ def _check(data: mujoco.MjData, steps: int, config: SettleConfig, where: str) ->
     if data.time > config.max_time or steps > 5 * config.max_time / config.timestep:
         raise SceneError(
             f"{where}: the object never settled within {data.time:.3g} s and {steps} steps, "
-            f"and still moves at {speed:.2g} m/s and {spin:.2g} rad/s: raise SettleConfig.max_time or "
-            "rotation_damping"
+            f"and still moves at {speed:.2g} m/s and {spin:.2g} rad/s: raise "
+            "SettleConfig.max_time or rotation_damping"
         )
 
 
