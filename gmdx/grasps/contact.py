@@ -10,6 +10,7 @@ import numpy as np
 from gmdx_kernels.closing_lines import FirstTouch, closing_lines, pad_grid
 
 from gmdx.arrays import Array, Float
+from gmdx.errors import ConfigError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
@@ -28,6 +29,13 @@ class LineConfig:
 
     grid: tuple[int, int] = (5, 5)  # lines across the pad and along it, from edge to edge
     touch_tolerance: float = 0.5e-3  # m, behind a pad's first touch that still belongs to it
+
+    def __post_init__(self) -> None:
+        if min(self.grid) < 1 or not self.touch_tolerance >= 0:
+            raise ConfigError(
+                f"lines need a grid of 1 x 1 or more, not {self.grid}, and a touch_tolerance of 0 "
+                f"or more, not {self.touch_tolerance}"
+            )
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gmdx.arrays import Array, Float
-from gmdx.errors import GraspError, UsageError
+from gmdx.errors import ConfigError, GraspError, UsageError
 from gmdx.grasps.candidates import (
     Candidates,
     Surface,
@@ -49,6 +49,16 @@ class SampleConfig:
     surface_points: int = 4000  # random ones that, with the vertices, decide on the opening
     lines: LineConfig = field(default_factory=LineConfig)  # find out what is between the pads
 
+    def __post_init__(self) -> None:
+        if self.candidates < 1 or self.surface_points < 1:
+            raise ConfigError("candidates and surface_points must be at least 1")
+        if not 0 <= self.least_clearance <= self.clearance[0] <= self.clearance[1]:
+            raise ConfigError("clearance must be a range above least_clearance, itself 0 or more")
+        if not 0 <= self.least_table_clearance <= self.table_clearance:
+            raise ConfigError("table_clearance must not be below least_table_clearance, nor that 0")
+        if not 0 <= self.colliding_share <= 1:
+            raise ConfigError(f"colliding_share is a share, {self.colliding_share} is not")
+
 
 def sample_grasps(
     scene: Scene,
@@ -59,7 +69,7 @@ def sample_grasps(
     gripper: Gripper | None = None,
     config: SampleConfig | None = None,
 ) -> PlanarGrasp:
-    """N grasps of a scene's object; the same ones for the same seed, object and scene.
+    """Choose n grasps of a scene's object, the same ones for the same seed, object and scene.
 
     `dense` spreads the tool point over the object's silhouette, its height from just above the
     table to the object's top, and the angle over half a turn. `antipodal` takes pairs of surface

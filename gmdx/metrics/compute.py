@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.errors import MetricError
+from gmdx.errors import ConfigError, MetricError
 from gmdx.geometry import axis_angle_between, quaternion_matrix, rotation_angle
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import LineConfig, closing_contacts
@@ -47,6 +47,11 @@ class MetricConfig:
     rtol_pair: float = 1e-4  # relative gap of the bounds on a quality of two contacts
     rtol_patch: float = 1e-2  # relative gap of the bounds on a quality of many contacts
     lines: LineConfig = field(default_factory=LineConfig)  # of the intersection-line analysis
+
+    def __post_init__(self) -> None:
+        for name in ("patch_radius", "rtol_pair", "rtol_patch"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gmdx.errors import GraspError, UsageError
+from gmdx.errors import ConfigError, GraspError, UsageError
 from gmdx.grasps.candidates import dense, random_points, surface_of
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import closing_contacts
@@ -172,6 +172,21 @@ def test_impossible_wishes_are_named() -> None:
     flat = resting_scene(box_object((0.05, 0.1, 0.0005)))
     with pytest.raises(GraspError, match="too flat"):
         sample_grasps(flat, 3, config=SampleConfig(candidates=512))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"candidates": 0},
+        {"clearance": (0.01, 0.005)},
+        {"least_clearance": 0.02},
+        {"table_clearance": 0.001},
+        {"colliding_share": 1.5},
+    ],
+)
+def test_configurations_that_make_no_sense_are_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(values))):
+        SampleConfig(**values)
 
 
 def test_fewer_grasps_than_asked_for_are_a_warning(caplog: pytest.LogCaptureFixture) -> None:

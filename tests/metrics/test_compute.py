@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gmdx.errors import MetricError
+from gmdx.errors import ConfigError, MetricError
 from gmdx.geometry import quaternion_multiply, yaw_quaternion
 from gmdx.grasps.contact import LineConfig
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
@@ -352,3 +352,12 @@ def test_table_names_its_columns_and_refuses_others() -> None:
         table["quality"]
     with pytest.raises(MetricError, match="2 grasps but the trials of 1"):
         compute_metrics(scene, grasps, _still_trials(scene, grasps[:1]))
+
+
+def test_configurations_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ConfigError, match="patch_radius"):
+        MetricConfig(patch_radius=0.0)
+    with pytest.raises(ConfigError, match="rtol_pair"):
+        MetricConfig(rtol_pair=float("nan"))
+    with pytest.raises(ConfigError, match="grid"):
+        LineConfig(grid=(0, 5))
