@@ -111,7 +111,8 @@ def test_volumes_by_closed_form(meshes: dict[str, trimesh.Trimesh]) -> None:
     corners = 4 * 10**2 - np.pi * 10**2 * polygon_share(20)
     assert mm3["plate"] == pytest.approx((120 * 80 - corners) * 5, rel=1e-5)
     assert mm3["egg"] == pytest.approx(2 / 3 * np.pi * 22.5**2 * (25 + 33), rel=0.02)
-    flat = (108 * 45 - (4 - np.pi) * 6**2 - 4 * np.pi * 2.75**2) * 4
+    holes = 2 * np.pi * 5.5**2 * polygon_share(12)
+    flat = (108 * 45 - (4 - np.pi) * 6**2 - holes) * 5
     assert mm3["bracket"] == pytest.approx(flat, rel=0.01)
 
 
@@ -121,18 +122,19 @@ def test_hollow_ones_hold_what_their_insides_measure(meshes: dict[str, trimesh.T
     inside = np.pi / 3 * 106 * (23.5**2 + 23.5 * 35 + 35**2)
     assert cup == pytest.approx(outside - inside, rel=0.05)
     # The bowl lies between two half ellipsoids; its foot is a disc with a hollow, less the cap of
-    # the outer ellipsoid that is inside the disc.
+    # the outer ellipsoid that is inside the disc; its lip is a ring.
     bowl = meshes["bowl"].volume * 1e9
-    wall = 2 / 3 * np.pi * (75**2 * 58 - 71**2 * 54)
-    depth = 58 * (1 - np.cos(np.radians(28)))
-    cap = np.pi * (75 / 58) ** 2 * depth**2 * (58 - depth / 3)
-    foot = np.pi * (34**2 * (4 + depth) - 28**2 * 3) - cap
-    assert bowl == pytest.approx(wall + foot, rel=0.02)
+    wall = 2 / 3 * np.pi * (70**2 * 56 - 65**2 * 51)
+    depth = 56 * (1 - np.cos(np.radians(28)))
+    cap = np.pi * (70 / 56) ** 2 * depth**2 * (56 - depth / 3)
+    foot = np.pi * (32**2 * (4 + depth) - 26.5**2 * 3) - cap
+    lip = np.pi * (69.5**2 - 65.8**2) * 1.5
+    assert bowl == pytest.approx(wall + foot + lip, rel=0.02)
 
 
 @pytest.mark.parametrize(
     ("name", "bottom", "inside"),
-    [("mug", 6e-3, 30e-3), ("bowl", 8e-3, 15e-3), ("cup", 4e-3, 20e-3)],
+    [("mug", 6e-3, 30e-3), ("bowl", 9e-3, 15e-3), ("cup", 4e-3, 20e-3)],
 )
 def test_a_line_down_the_axis_meets_the_inner_bottom(
     name: str, bottom: float, inside: float, meshes: dict[str, trimesh.Trimesh]
@@ -143,27 +145,27 @@ def test_a_line_down_the_axis_meets_the_inner_bottom(
         assert len(heights) == 2
         assert heights[0] == pytest.approx(bottom, abs=2.5e-3)
     top = mesh.bounds[1, 2]
-    assert hits(mesh, 1e-4, 2e-4)[0] < 0.15 * top
+    assert hits(mesh, 1e-4, 2e-4)[0] < 0.2 * top
 
 
 def test_a_solid_bottle_and_open_holes(meshes: dict[str, trimesh.Trimesh]) -> None:
     assert len(hits(meshes["bottle"], 1e-4, 2e-4)) == 2
     for name, x, y in [("ring", 0.0, 0.0), ("gear", 1e-4, 2e-4), ("spanner", 0.176, 1e-4)]:
         assert len(hits(meshes[name], x, y)) == 0
-    assert len(hits(meshes["bracket"], -0.036, 1e-4)) == 0
-    assert len(hits(meshes["bracket"], -0.026, 1e-4)) == 2
+    assert len(hits(meshes["bracket"], -0.027, 1e-4)) == 0
+    assert len(hits(meshes["bracket"], -0.015, 1e-4)) == 2
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_number_of_through_holes(name: str, meshes: dict[str, trimesh.Trimesh]) -> None:
-    holes = {"ring": 1, "mug": 1, "gear": 1, "spanner": 1, "bracket": 4}.get(name, 0)
+    holes = {"ring": 1, "mug": 1, "gear": 1, "spanner": 1, "bracket": 2}.get(name, 0)
     assert meshes[name].euler_number == 2 - 2 * holes
 
 
 @pytest.mark.parametrize(
     ("name", "sizes_mm"),
     [
-        ("mug", (80, 95, 115)), ("bottle", (65, 65, 212)), ("bowl", (63, 150, 150)),
+        ("mug", (80, 95, 115)), ("bottle", (65, 65, 212)), ("bowl", (62, 140, 140)),
         ("hammer", (30, 112, 280)), ("spanner", (8, 36, 208)), ("bracket", (45, 55, 60)),
         ("gear", (14, 60, 60)), ("ring", (16, 76, 76)), ("dumbbell", (56, 56, 170)),
         ("cup", (76, 76, 110)), ("l_profile", (40, 40, 100)), ("cross", (22, 90, 90)),

@@ -59,14 +59,14 @@ def bottle() -> Solid:
 
 
 def bowl() -> Solid:
-    """A hollow bowl on a foot, 150 mm wide and 64 mm high, wall 4 mm."""
+    """A hollow bowl on a foot, 140 mm wide and 62 mm high, wall 5 mm."""
     outer_angle = np.radians(np.linspace(28, 90, 8))
-    inner_angle = np.radians(np.linspace(90, 0, 11))
-    outer = np.stack([75 * np.sin(outer_angle), 62 - 58 * np.cos(outer_angle)], axis=1)
-    inner = np.stack([71 * np.sin(inner_angle), 62 - 54 * np.cos(inner_angle)], axis=1)
+    inner_angle = np.radians(np.linspace(90, 0, 9))
+    outer = np.stack([70 * np.sin(outer_angle), 60 - 56 * np.cos(outer_angle)], axis=1)
+    inner = np.stack([65 * np.sin(inner_angle), 60 - 51 * np.cos(inner_angle)], axis=1)
     inner[-1, 0] = 0.0
-    foot = np.array([(0, 3), (28, 3), (29, 0), (33, 0)], float)
-    lip = np.array([(74, 63.5), (72, 63.5)], float)
+    foot = np.array([(0, 3), (26, 3), (27, 0), (31.5, 0)], float)
+    lip = np.array([(69, 61.5), (66.5, 61.5)], float)
     profile = densify(np.concatenate([foot, outer, lip, inner]), 11) * MM
     return revolve(profile, segments=36)
 
@@ -109,7 +109,7 @@ def spanner() -> Solid:
 
 
 def bracket() -> Solid:
-    """A bent sheet-metal angle, legs of 58 and 52 mm, 45 mm wide, 4 mm thick, with four holes."""
+    """A bent sheet-metal angle, legs of 58 and 52 mm, 45 mm wide, 5 mm thick, a hole in each."""
     half, corner, radius = 22.5, 6.0, 6.0
     low, high = -52.0, 56.0
     rows = np.linspace(-0.25, 1.25, 7) * radius * np.pi / 2
@@ -123,14 +123,13 @@ def bracket() -> Solid:
             arc((low + corner, half - corner), corner, 90, 180, 5),
         ]
     )
-    centers = [(-36, 0), (-16, 0), (25, 0), (42, 0)]
-    holes = [arc(center, 2.75, 0, -360, 13)[:-1] for center in centers]
+    holes = [arc(center, 5.5, 15, -345, 13)[:-1] for center in [(-27, 0), (33, 0)]]
     # Points in rows across the bend keep its triangles from crossing the fold.
-    across = np.linspace(-half, half, 11)[1:-1]
+    across = np.linspace(-half, half, 10)[1:-1]
     extra = np.stack(np.meshgrid(rows, across), axis=-1).reshape(-1, 2)
     loops = [loop * MM for loop in (plate, *holes)]
-    flat = extrude(loops, 4 * MM, step=5 * MM, extra=extra * MM)
-    return bend(flat.moved((0, 0, -2 * MM)), radius * MM, np.pi / 2)
+    flat = extrude(loops, 5 * MM, step=6 * MM, extra=extra * MM)
+    return bend(flat.moved((0, 0, -2.5 * MM)), radius * MM, np.pi / 2)
 
 
 def gear() -> Solid:
