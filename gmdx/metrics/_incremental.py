@@ -6,20 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from gmdx.arrays import Array, Bool, Float
-from gmdx.metrics._local import polish, starting_directions, unit
-from gmdx.metrics.wrench import WrenchCones, contact_supports, support, support_points
+from gmdx.arrays import Array, Float, Int
+from gmdx.metrics._local import starting_directions, unit
+from gmdx.metrics._polish import polish
+from gmdx.metrics.wrench import WrenchCones, support, support_points
 from gmdx.rng import generator
 
 _LOG = logging.getLogger("gmdx")
-_FACETS_A_ROUND = 150  # facets pushed outward between two rebuilds of the hull
+_STARTS = 12  # directions of the first polytope, besides the guesses and the axes
+_GROWTH = 6  # most points a round: facets, and so time, grow much faster than points
+_APART = 0.9998  # cosine above which two facets are the same place
+_FOLD = 1e-9  # how far a vertex may stand out of a facet's plane, relative to the hull
 
 
 @dataclass(frozen=True)
 class PolytopeBounds:
     """What the polytope proved."""
 
-    lower: float  # offset of the facet nearest to 0, less rounding; <= 0 without closure
+    lower: float  # offset of the facet nearest to 0, less rounding; -inf if 0 is not inside
     upper: float
     direction: Float[Array, "6"]  # unit, h(direction) = upper
 
@@ -32,7 +36,7 @@ def polytope_bounds(
     Its facet nearest to the origin bounds epsilon from below, the support along any facet's
     normal from above. Points are drawn towards 0 by random amounts far below the tolerance:
     the support points of a pair lie in two 3-flats, on which Qhull would degenerate. Drawn
-    points still belong to K when K holds 0, so the bound stays valid.
+    points still belong to K if the polytope holds 0, so the bound stays valid.
 
     Args:
         cones: Contacts that span all six dimensions.
@@ -43,76 +47,117 @@ def polytope_bounds(
     rng = generator(0, "epsilon", "polytope")
     columns = cones.columns
     width, axes = np.linalg.eigh(columns.T @ columns)
-    # Qhull's tolerances are absolute: work where K is round, measure where it is not.
-    rounding = axes / np.sqrt(width)
-    starts = np.concatenate([guesses, starting_directions(cones, 40), axes.T, -axes.T])
-    direction = starts[support(cones, starts).argmin()]
-    upper = float(support(cones, direction))
-    points = _near_supports(cones, starts, 0.2)
-    lower = -np.inf
-    while True:
-        vertices = points * (1.0 - 0.01 * rtol * rng.random((len(points), 1)))
-        try:
-            hull = ConvexHull(vertices @ rounding)
-        except QhullError as error:
-            _LOG.info("epsilon: Qhull gave up on %d points: %s", len(points), error)
-            break
-        normals = hull.equations[:, :6] @ rounding.T
-        length = np.linalg.norm(normals, axis=1)
-        normals /= length[:, None]
-        offsets = np.einsum("fvj,fj->fv", vertices[hull.simplices], normals).min(axis=1)
-        if (hull.neighbors >= 0).all():
-            # A facet lies wholly beyond its least vertex; the rounding of Qhull's normals is
-            # in that minimum, what remains is that of the products themselves.
-            lower = max(lower, float(offsets.min() - 1e-13 * np.abs(vertices).max()))
-        h = support(cones, normals)
-        if h.min() < upper:
-            direction = polish(cones, normals[h.argmin()])
-            upper = float(support(cones, direction))
-        if upper <= 0 or upper - lower <= rtol * upper or len(points) >= most_points:
-            break
-        weak = np.flatnonzero(offsets < upper * (1.0 - 0.9 * rtol))
-        weak = weak[np.argsort(offsets[weak], kind="stable")]
-        spread = _spread(normals[weak], _FACETS_A_ROUND)
-        fresh = _near_supports(cones, np.concatenate([normals[weak][spread], direction[None]]), 0.0)
-        fresh = fresh[_distinct(fresh, points, 1e-9)]
-        if len(fresh) == 0:
-            break
-        points = np.concatenate([points[np.unique(hull.simplices)], fresh])
-    return PolytopeBounds(lower, upper, direction)
+    rounding = axes / np.sqrt(width)  # Qhull's tolerances are absolute: work where K is round
 
+    def drawn(points: Float[Array, "p 6"]) -> Float[Array, "p 6"]:
+        shrunk: Array = points * (1.0 - 0.01 * rtol * rng.random((len(points), 1)))
+        return shrunk
 
-def _near_supports(
-    cones: WrenchCones, u: Float[Array, "m 6"], slack: float
-) -> Float[Array, "p 6"]:
-    """Support points of the contacts whose support is within `slack` of the largest."""
-    h = contact_supports(cones, u)
-    top = h.max(axis=1, keepdims=True)
-    points: Array = support_points(cones, u)[h >= top - slack * np.abs(top) - 1e-12]
-    return points
-
-
-def _spread(normals: Float[Array, "m 6"], count: int) -> Float[Array, "p"] | Array:
-    """Indices of up to `count` normals, leaving out near repeats of weaker facets."""
-    chosen: list[int] = []
-    kept = np.zeros((count, 6))
-    for i, normal in enumerate(normals[: 20 * count]):
-        if not chosen or (kept[: len(chosen)] @ normal).max() < 0.9998:
-            kept[len(chosen)] = normal
-            chosen.append(i)
-            if len(chosen) == count:
+    starts = [guesses, starting_directions(cones, _STARTS)]
+    starts += [sign * a for a in (axes.T, unit(rounding.T)) for sign in (1.0, -1.0)]
+    u = np.concatenate(starts)
+    values = support(cones, u)
+    best = PolytopeBounds(-np.inf, float(values.min()), u[values.argmin()])
+    fresh = _new_points(cones, u, np.zeros((0, 6)))
+    vertices = drawn(fresh)
+    try:
+        hull = ConvexHull(vertices @ rounding, incremental=True)
+        while True:
+            normals = hull.equations[:, :6] @ rounding.T
+            normals /= np.linalg.norm(normals, axis=1)[:, None]
+            # A facet lies wholly beyond the least of its own vertices.
+            offsets = np.einsum("fvj,fj->fv", vertices[hull.simplices], normals).min(axis=1)
+            weak = np.flatnonzero(offsets < best.upper * (1.0 - 0.95 * rtol))
+            weak = weak[np.argsort(offsets[weak], kind="stable")][: 40 * _GROWTH]
+            best = _improved(cones, best, normals[weak])
+            done = best.upper <= 0 or not (offsets[weak] < best.upper * (1 - 0.95 * rtol)).any()
+            fresh = np.zeros((0, 6))
+            if not done and len(vertices) < most_points:
+                targets = normals[weak[_spread(normals[weak])]]
+                fresh = _new_points(cones, targets, vertices)
+            if len(fresh) == 0:
                 break
-    return np.array(chosen, int)
+            fresh = drawn(fresh)
+            vertices = np.concatenate([vertices, fresh])
+            hull.add_points(fresh @ rounding)
+    except QhullError as error:
+        _LOG.info("epsilon: Qhull gave up: %s", str(error).splitlines()[0])
+        return best
+    if (
+        not _closed(hull.simplices, hull.neighbors)
+        or _fold(hull, normals, offsets, vertices) > _FOLD
+    ):
+        _LOG.info("epsilon: Qhull's facets do not bound a convex body: no lower bound from them")
+        return best
+    size = float(np.abs(vertices).max())
+    lower = float(offsets.min()) - (_fold(hull, normals, offsets, vertices) + 1e-13) * size
+    return PolytopeBounds(lower, best.upper, best.direction)
 
 
-def _distinct(
-    fresh: Float[Array, "m 6"], known: Float[Array, "p 6"], tol: float
-) -> Bool[Array, "m"]:
-    """Which fresh points are not known, and not repeated."""
+def _improved(
+    cones: WrenchCones, best: PolytopeBounds, normals: Float[Array, "m 6"]
+) -> PolytopeBounds:
+    """The upper bound, lowered if the support along some facet's normal is less."""
+    if len(normals) == 0:
+        return best
+    h = support(cones, normals)
+    if h.min() >= best.upper:
+        return best
+    u = polish(cones, normals[h.argmin()])
+    return PolytopeBounds(best.lower, float(support(cones, u)), u)
+
+
+def _new_points(
+    cones: WrenchCones, u: Float[Array, "m 6"], known: Float[Array, "p 6"]
+) -> Float[Array, "q 6"]:
+    """The farthest wrench along each direction, without those known already."""
+    points = support_points(cones, u)
+    top = np.einsum("mki,mi->mk", points, u).argmax(axis=1)
+    fresh = points[np.arange(len(u)), top]
     everything = np.concatenate([known, fresh])
-    square = np.einsum("ij,ij->i", everything, everything)
-    distance = square[len(known) :, None] + square[None] - 2.0 * fresh @ everything.T
-    later = np.arange(len(everything))[None] >= len(known) + np.arange(len(fresh))[:, None]
-    near: Array = (distance < tol**2 * max(square.max(), 1.0)) & ~later
-    new: Array = ~near.any(axis=1)
+    apart = np.linalg.norm(fresh[:, None] - everything[None], axis=-1)
+    earlier = np.arange(len(everything))[None] < len(known) + np.arange(len(fresh))[:, None]
+    new: Array = fresh[~((apart < 1e-7 * np.abs(everything).max()) & earlier).any(axis=1)]
     return new
+
+
+def _spread(normals: Float[Array, "m 6"]) -> Int[Array, "p"]:
+    """The first few normals that differ from each other."""
+    chosen = [0]
+    for i in range(1, len(normals)):
+        if len(chosen) == _GROWTH:
+            break
+        if (normals[chosen] @ normals[i]).max() < _APART:
+            chosen.append(i)
+    return np.array(chosen)
+
+
+def _closed(simplices: Int[Array, "f 6"], neighbors: Int[Array, "f 6"]) -> bool:
+    """Whether every ridge joins exactly two facets, so that the facets have no boundary."""
+    if (neighbors < 0).any():
+        return False
+    names = generator(0, "epsilon", "names").integers(1, 2**62, simplices.max() + 1, dtype=np.int64)
+    names = names[simplices]
+    with np.errstate(over="ignore"):
+        ridges = names.sum(axis=1, keepdims=True) - names  # opposite each vertex
+    facet = np.arange(len(simplices))
+    returned = (neighbors[neighbors] == facet[:, None, None]) & (
+        ridges[neighbors] == ridges[:, :, None]
+    )
+    return bool(returned.any(axis=2).all())
+
+
+def _fold(
+    hull: ConvexHull,
+    normals: Float[Array, "f 6"],
+    offsets: Float[Array, "f"],
+    vertices: Float[Array, "p 6"],
+) -> float:
+    """How far any vertex stands out of any facet's plane, relative to the hull's size.
+
+    Facets without a boundary that all support the same points are the whole boundary of their
+    convex hull.
+    """
+    corners = vertices[np.unique(hull.simplices)]
+    out = (normals @ corners.T).max(axis=1) - offsets
+    return float(out.max() / np.abs(corners).max())

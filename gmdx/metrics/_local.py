@@ -5,11 +5,12 @@ v on its boundary yields the upper bound h(v / |v|), however it was found.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from gmdx.arrays import Array, Bool, Float
-from gmdx.metrics.wrench import WrenchCones, contact_supports, support
+from gmdx.arrays import Array, Float
+from gmdx.metrics.wrench import WrenchCones, support
 from gmdx.rng import generator
 
 _LORENTZ = np.array([1.0, -1.0, -1.0, -1.0])
@@ -33,13 +34,14 @@ def starting_directions(cones: WrenchCones, count: int) -> Float[Array, "s 6"]:
     columns = cones.columns
     width, axes = np.linalg.eigh(columns.T @ columns)
     rounding = (axes / np.sqrt(np.maximum(width, 1e-24 * width[-1]))) @ axes.T
-    sphere = generator(0, "epsilon", "starts").standard_normal((_SAMPLES // 2, 6))
-    u = np.concatenate([sphere @ rounding, axes.T])
+    u = np.concatenate([_sphere() @ rounding, axes.T])
     u = unit(np.concatenate([u, -u]))
     return u[np.argsort(support(cones, u), kind="stable")[:count]]
 
 
-def descend(cones: WrenchCones, starts: Float[Array, "s 6"], *, tol: float, steps: int = 40) -> Minima:
+def descend(
+    cones: WrenchCones, starts: Float[Array, "s 6"], *, tol: float, steps: int = 40
+) -> Minima:
     """Local minima of h on the unit sphere, one from each start.
 
     A primal-dual interior-point method with Nesterov-Todd scaling on max g . v, h(v) <= 1,
@@ -100,112 +102,16 @@ def descend(cones: WrenchCones, starts: Float[Array, "s 6"], *, tol: float, step
     return Minima(best[order], best_value[order], (shares / total)[order])
 
 
-def polish(cones: WrenchCones, start: Float[Array, "6"]) -> Float[Array, "6"]:
-    """The stationary direction next to `start`, to machine precision, or `start` if none is.
-
-    Newton's method on the conditions of optimality. Contacts whose support is nearly the
-    largest are taken to be active; an active contact may sit at its apex (B_i^T u = 0).
-    """
-    best, best_value = start, float(support(cones, start))
-    h = contact_supports(cones, start)
-    slip = np.linalg.norm(cones.spreads @ start, axis=-1)
-    size = np.linalg.norm(cones.spreads, axis=(1, 2))
-    for active in _active_sets(h):
-        flat = active & (slip <= 1e-9 * np.maximum(size, 1e-300))
-        near = active & (slip < 0.05 * size) & ~flat
-        for apexes in [flat, *(flat | (near & (np.arange(len(h)) == i)) for i in np.flatnonzero(near))]:
-            u = _stationary(cones, start, active, apexes)
-            value = float(support(cones, u))
-            if value < best_value:
-                best, best_value = u, value
-    return best
+@lru_cache(maxsize=1)
+def _sphere() -> Float[Array, "p 6"]:
+    """Fixed directions, evenly random."""
+    return generator(0, "epsilon", "starts").standard_normal((_SAMPLES // 2, 6))
 
 
 def unit(u: Float[Array, "*m 6"]) -> Float[Array, "*m 6"]:
     """Directions of length 1."""
     scaled: Array = u / np.linalg.norm(u, axis=-1, keepdims=True)
     return scaled
-
-
-def _active_sets(h: Float[Array, "k"]) -> list[Bool[Array, "k"]]:
-    """Guesses of which contacts are active, without repeats."""
-    top = h.max()
-    sets: dict[bytes, Array] = {}
-    for tolerance in (1e-6, 1e-4, 3e-3, 5e-2):
-        active = h >= top - tolerance * max(abs(top), 1e-9)
-        if active.sum() <= 7:
-            sets.setdefault(active.tobytes(), active)
-    return list(sets.values())
-
-
-def _stationary(
-    cones: WrenchCones,
-    start: Float[Array, "6"],
-    active: Bool[Array, "k"],
-    apexes: Bool[Array, "k"],
-) -> Float[Array, "6"]:
-    """A few Newton steps for u, the forces a_i (and x_i at an apex) and the value h.
-
-    sum_i a_i grad h_i(u) = nu u, h_i(u) = h, sum_i a_i = 1, |u| = 1; at an apex a_i s_i = x_i
-    is free and B_i^T u = 0.
-    """
-    u = start
-    smooth = np.flatnonzero(active & ~apexes)
-    pointed = np.flatnonzero(apexes)
-    order = np.concatenate([smooth, pointed])
-    m, n = len(order), len(smooth)
-    free = cones.spreads[pointed].reshape(-1, 6)
-    multipliers = None
-    for _ in range(6):
-        slip = np.einsum("kra,a->kr", cones.spreads[smooth], u)
-        length = np.linalg.norm(slip, axis=1)
-        if (length < 1e-12).any():
-            return start
-        pull = np.einsum("kr,kra->ka", slip, cones.spreads[smooth])
-        slopes = np.concatenate(
-            [cones.centers[smooth] + pull / length[:, None], cones.centers[pointed], free]
-        )
-        supports = contact_supports(cones, u)[order]
-        supports[n:] = cones.centers[pointed] @ u
-        if multipliers is None:
-            system = np.concatenate([slopes, -u[None]]).T
-            total = np.zeros(len(slopes) + 1)
-            total[:m] = 1.0
-            multipliers = np.linalg.lstsq(
-                np.concatenate([system, total[None]]), np.array([0.0] * 6 + [1.0]), rcond=None
-            )[0]
-            level = float(supports.mean())
-        a, nu = multipliers[:-1], multipliers[-1]
-        curved = (
-            np.einsum("kra,krb->kab", cones.spreads[smooth], cones.spreads[smooth])
-            - np.einsum("ka,kb->kab", pull, pull) / length[:, None, None] ** 2
-        ) / length[:, None, None]
-        f = len(slopes)
-        jacobian = np.zeros((8 + f, 8 + f))  # unknowns: u, a, nu, h
-        jacobian[:6, :6] = np.einsum("k,kab->ab", a[:n], curved) - nu * np.eye(6)
-        jacobian[:6, 6 : 6 + f] = slopes.T
-        jacobian[6 : 6 + f, :6] = slopes
-        jacobian[:6, 6 + f] = -u
-        jacobian[6 + f, :6] = u
-        jacobian[6 : 6 + m, 7 + f] = -1.0
-        jacobian[7 + f, 6 : 6 + m] = 1.0
-        residual = np.concatenate(
-            [
-                slopes.T @ a - nu * u,
-                supports - level,
-                free @ u,
-                [0.5 * (u @ u - 1.0), a[:m].sum() - 1.0],
-            ]
-        )
-        step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
-        length_u = np.linalg.norm(step[:6])
-        step *= min(1.0, 0.3 / max(length_u, 1e-300))
-        u = unit(u + step[:6])
-        multipliers = np.concatenate([a + step[6 : 6 + f], [nu + step[6 + f]]])
-        level += step[7 + f]
-        if length_u < 1e-14:
-            break
-    return u
 
 
 def _det(y: Float[Array, "s k 4"]) -> Float[Array, "s k"]:
@@ -223,7 +129,7 @@ def _reach(
     a = np.einsum("skr,skr->sk", dy, signed)
     b = np.einsum("skr,skr->sk", y, signed)
     root = np.sqrt(np.maximum(b * b - a * det, 0.0)) - b
-    reach = det / np.maximum(root, _TINY)
+    reach = det / np.maximum(root, 1e-12 * det)
     apex = np.where(dy[..., 0] < 0, y[..., 0] / np.maximum(-dy[..., 0], _TINY), np.inf)
     least: Array = np.minimum(reach, apex).min(axis=1)
     return least

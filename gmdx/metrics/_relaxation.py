@@ -133,7 +133,8 @@ def _directions(moment: Float[Array, "7 7"]) -> Float[Array, "m 6"]:
     u = v[1:, order].T * np.where(v[0, order] < 0, -1.0, 1.0)[:, None]
     both = np.concatenate([np.stack([a, -a]) for a in u])
     length = np.linalg.norm(both, axis=1)
-    return both[length > 1e-9] / length[length > 1e-9, None]
+    directions: Array = both[length > 1e-9] / length[length > 1e-9, None]
+    return directions
 
 
 def _forms(cones: WrenchCones) -> Float[Array, "k 4 7"]:

@@ -1,6 +1,7 @@
 """Contact wrench cones: what forces and torques a soft-finger contact can exert."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +22,9 @@ class WrenchCones:
     centers: Float[Array, "*n k 6"]  # c_i: the wrench of the normal force alone
     spreads: Float[Array, "*n k 3 6"]  # rows of B_i^T: two tangential forces, one torsion
 
-    def __getitem__(self, index: object) -> "WrenchCones":
+    def __getitem__(self, index: Any) -> "WrenchCones":
         """The cones at `index` of the leading axes."""
-        return WrenchCones(self.centers[index], self.spreads[index])  # type: ignore[index]
+        return WrenchCones(self.centers[index], self.spreads[index])
 
     @property
     def columns(self) -> Float[Array, "*n 4k 6"]:

@@ -1,0 +1,212 @@
+"""One grasp's epsilon: from its contacts' wrench cones to bounds that are proved."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gmdx.arrays import Array, Float
+from gmdx.metrics._incremental import polytope_bounds
+from gmdx.metrics._local import Minima, descend, starting_directions
+from gmdx.metrics._polish import polish
+from gmdx.metrics._projection import project_origin
+from gmdx.metrics._relaxation import LowerBound, Pairs, relaxation_bound
+from gmdx.metrics.wrench import WrenchCones, pair_closure, support
+
+Method = Literal["relaxation", "polytope", "projection", "flat", "no closure", "no contact"]
+
+NEAR_ZERO = 1e-8  # of the unit force: bounds this near to each other agree, whatever their ratio
+_FLAT = 1e-11  # relative width below which the contacts span fewer than six dimensions
+_STARTS = 6
+_SHARE = 0.004  # of the balancing wrench: contacts that bear less stay out of the relaxation
+_MOST_MEMBERS = 7  # contacts in the relaxation: its cost grows faster than their number
+_MOST_PAIRS = 12
+_FINE = 3e-3  # relative gap below which products of more pairs are cheaper than the polytope
+_EXACT = 1e-3  # relative gap below which the upper bound is made exact
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What is known about one grasp's epsilon."""
+
+    lower: float
+    upper: float
+    direction: Float[Array, "6"]  # unit
+    method: Method
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """One grasp's contacts and how well its epsilon is to be known."""
+
+    cones: WrenchCones
+    points: Float[Array, "k 3"]  # divided by the torque scale
+    normals: Float[Array, "k 3"]
+    friction: float
+    torsion: float
+    rtol: float
+    most_points: int  # of the polytope
+
+
+def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
+    """Bounds of epsilon by the cheapest route that proves them.
+
+    Two contacts: closure by Nguyen's test, then one semidefinite relaxation, exact on every
+    pair seen so far. More contacts: a local search, the relaxation over the contacts that
+    bear the worst wrench (fewer contacts make K smaller, so the bound holds for all), and the
+    inner polytope where that is not enough.
+
+    Args:
+        contacts: The grasp.
+        signed: Whether to measure how far a grasp without closure is from it.
+    """
+    rows = np.concatenate([contacts.cones.columns, np.zeros((2, 6))])  # at least six
+    _, width, axes = np.linalg.svd(rows, full_matrices=False)
+    if width[-1] <= _FLAT * width[0]:
+        return _flat(contacts, axes[-1], signed)
+    if len(contacts.points) == 2:
+        closed = pair_closure(contacts.points, contacts.normals, friction=contacts.friction)
+        return _pair(contacts) if closed else _open(contacts, signed)
+    return _several(contacts, signed)
+
+
+def _flat(contacts: ContactSet, normal: Float[Array, "6"], signed: bool) -> Bounds:
+    """K lies in a hyperplane through 0: epsilon is 0 if K holds 0, else it is negative."""
+    away = project_origin(contacts.cones)
+    if away.separation > NEAR_ZERO:
+        return _open(contacts, signed)
+    upper = float(support(contacts.cones, normal))
+    return Bounds(min(-away.distance, upper), upper, normal, "flat")
+
+
+def _open(contacts: ContactSet, signed: bool) -> Bounds:
+    """Without closure epsilon is minus a distance, which is a convex problem."""
+    if not signed:
+        return Bounds(0.0, 0.0, np.full(6, np.nan), "no closure")
+    away = project_origin(contacts.cones)
+    upper = -away.separation
+    return Bounds(min(-away.distance, upper), upper, away.direction, "projection")
+
+
+def _pair(contacts: ContactSet) -> Bounds:
+    cones, both = contacts.cones, ((0, 1),)
+    tol = 0.02 * contacts.rtol
+    bound = relaxation_bound(cones, both, transposed=False, tol=tol)
+    guesses = bound.directions if len(bound.directions) else starting_directions(cones, 1)
+    u = polish(cones, guesses[support(cones, guesses).argmin()])
+    if not _enough(contacts, bound.value, u):
+        # Ties between worst wrenches blur the guess; a blunt solution, the bound.
+        bound = _better(bound, relaxation_bound(cones, both, transposed=True, tol=1e-3 * tol))
+        starts = np.concatenate([bound.directions, starting_directions(cones, _STARTS)])
+        found = _descended(cones, starts, 1e-9).directions[:3]
+        u = min([u, *(polish(cones, d) for d in found)], key=lambda d: float(support(cones, d)))
+    return _finish(contacts, bound, u)
+
+
+def _several(contacts: ContactSet, signed: bool) -> Bounds:
+    cones, rtol = contacts.cones, contacts.rtol
+    found = _descended(cones, starting_directions(cones, _STARTS), 0.3 * rtol)
+    if found.values[0] <= 0:
+        return _open(contacts, signed)
+    u = found.directions[0]
+    bound = LowerBound(0.0, found.directions)
+    if contacts.friction == 0 and contacts.torsion == 0:
+        return _finish(contacts, bound, u)  # K is a polytope
+    members = np.flatnonzero(found.shares[0] > _SHARE)
+    tried: set[Pairs] = set()
+    for choose in (_nearest_pairs, _opposed_pairs, _all_pairs):
+        pairs = choose(contacts.points[members], contacts.normals[members])
+        part = cones[members]
+        if len(members) > _MOST_MEMBERS or not 0 < len(pairs) <= _MOST_PAIRS or not _spans(part):
+            break
+        if pairs not in tried:
+            latest = relaxation_bound(part, pairs, transposed=False, tol=0.1 * rtol)
+            bound = _better(bound, latest)
+            u = _lowered(contacts, latest, u)
+        tried.add(pairs)
+        if rtol > _FINE or _enough(contacts, bound.value, u):
+            break
+    return _finish(contacts, bound, u)
+
+
+def _finish(contacts: ContactSet, bound: LowerBound, u: Float[Array, "6"]) -> Bounds:
+    """The bounds, by the polytope where the relaxation was not enough."""
+    cones = contacts.cones
+    if contacts.rtol <= _EXACT or not _enough(contacts, bound.value, u):
+        u = polish(cones, u)
+    upper = float(support(cones, u))
+    if _enough(contacts, bound.value, u):
+        return Bounds(min(bound.value, upper), upper, u, "relaxation")
+    guesses = np.concatenate([u[None], bound.directions])
+    grown = polytope_bounds(cones, guesses, rtol=contacts.rtol, most_points=contacts.most_points)
+    if grown.upper < upper:
+        upper, u = grown.upper, grown.direction
+    lower = max(bound.value, grown.lower)
+    if lower <= 0:  # no closure, or too little of it to show in a polytope
+        away = project_origin(cones)
+        if away.separation > 0 or upper <= 0:
+            upper, u = -away.separation, away.direction
+        return Bounds(min(max(grown.lower, -away.distance), upper), upper, u, "projection")
+    method: Method = "polytope" if grown.lower >= bound.value else "relaxation"
+    return Bounds(min(lower, upper), upper, u, method)
+
+
+def _enough(contacts: ContactSet, lower: float, u: Float[Array, "6"]) -> bool:
+    upper = float(support(contacts.cones, u))
+    return lower > 0 and upper - lower <= contacts.rtol * upper
+
+
+def _better(one: LowerBound, other: LowerBound) -> LowerBound:
+    return other if other.value >= one.value else one
+
+
+def _lowered(contacts: ContactSet, bound: LowerBound, u: Float[Array, "6"]) -> Float[Array, "6"]:
+    """A lower minimum than u, if the relaxation points at one."""
+    h = support(contacts.cones, bound.directions)
+    promising = h < 1.5 * support(contacts.cones, u)
+    if _enough(contacts, bound.value, u) or not promising.any():
+        return u
+    found = _descended(contacts.cones, bound.directions[promising], 0.3 * contacts.rtol)
+    return found.directions[0] if found.values[0] < support(contacts.cones, u) else u
+
+
+def _descended(cones: WrenchCones, starts: Float[Array, "m 6"], tol: float) -> Minima:
+    """Local minima, or the one start that shows that there is no closure."""
+    h = support(cones, starts)
+    if h.min() <= 0:
+        nobody = np.zeros((1, len(cones.centers)))
+        return Minima(starts[h.argmin()][None], h.min()[None], nobody)
+    return descend(cones, starts, tol=tol)
+
+
+def _spans(cones: WrenchCones) -> bool:
+    """Whether the contacts span all six dimensions."""
+    rows = cones.columns
+    if len(rows) < 6:
+        return False
+    width = np.linalg.svd(rows, compute_uv=False)
+    return bool(width[-1] > _FLAT * width[0])
+
+
+def _all_pairs(points: Float[Array, "k 3"], normals: Float[Array, "k 3"]) -> Pairs:
+    i, j = np.triu_indices(len(points), 1)
+    return tuple(zip(i.tolist(), j.tolist(), strict=True))
+
+
+def _opposed_pairs(points: Float[Array, "k 3"], normals: Float[Array, "k 3"]) -> Pairs:
+    """All pairs whose normals oppose each other."""
+    facing = normals @ normals.T
+    return tuple((i, j) for i, j in _all_pairs(points, normals) if facing[i, j] < 0)
+
+
+def _nearest_pairs(points: Float[Array, "k 3"], normals: Float[Array, "k 3"]) -> Pairs:
+    """Each contact with the one that opposes it most nearly along the line between them."""
+    facing = normals @ normals.T
+    axis = normals[:, None] - normals[None]
+    axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
+    apart = points[:, None] - points[None]
+    along = np.einsum("ija,ija->ij", apart, axis)
+    sideways = np.linalg.norm(apart - along[..., None] * axis, axis=-1)
+    cost = 3.0 * facing + sideways + np.where(np.eye(len(points)) > 0, np.inf, 0.0)
+    chosen = {(min(i, j), max(i, j)) for i, j in enumerate(cost.argmin(axis=1).tolist())}
+    return tuple(sorted(chosen))
