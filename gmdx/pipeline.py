@@ -300,10 +300,15 @@ def _lost(object_id: str, crash: Crash) -> _Outcome:
     return _Outcome(produced=False, grasps=0, failures=(failure,))
 
 
-def gripper_record(gripper: Gripper) -> dict[str, str]:
-    """A gripper as `dataset.json` names it."""
-    digest = hashlib.sha256(repr(gripper).encode()).hexdigest()
-    return {"name": gripper.name, "sha256": digest}
+def gripper_record(gripper: Gripper) -> dict[str, Any]:
+    """A gripper as `dataset.json` names it: lengths in m, the force in N."""
+    return {
+        "name": gripper.name,
+        "sha256": hashlib.sha256(repr(gripper).encode()).hexdigest(),
+        "stroke": gripper.stroke,
+        "force": gripper.force,
+        "pad_size": [float(size) for size in gripper.pad_size],
+    }
 
 
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:

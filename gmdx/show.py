@@ -32,7 +32,6 @@ def scene_picture(
     metric: str = "sim_success",
     view: int = 0,
     most: int | None = DrawConfig().most,
-    pad_width: float = DrawConfig().pad_width,
 ) -> "Figure":
     """The depth image of a scene with its grasps, coloured by a metric.
 
@@ -43,7 +42,6 @@ def scene_picture(
         metric: Name of the metric.
         view: Which of the scene's images.
         most: Grasps drawn at most, spread over the scene; None: all.
-        pad_width: m, of a pad's face.
 
     Raises:
         UsageError: There is no such metric or view.
@@ -60,7 +58,7 @@ def scene_picture(
         rows[name].to_numpy(),
         metric=name,
         title=f"{object_id}, scene {scene_id}",
-        config=DrawConfig(most=most, pad_width=pad_width),
+        config=DrawConfig(most=most, pad_width=dataset.info["gripper"]["pad_size"][0]),
     )
 
 
@@ -114,7 +112,7 @@ def grasp_picture(
         simulated=trials.contacts,
         metrics={name: row[name][0].as_py() for name in METRIC_NAMES},
         pad_size=(float(gripper.pad_size[0]), float(gripper.pad_size[1])),
-        title=f"{object_id}, scene {scene_id}, grasp {grasp_id}: {row['outcome'][0]}",
+        title=f"{object_id}, scene {scene_id}, {row['outcome'][0]}",
     )
 
 

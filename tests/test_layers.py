@@ -15,7 +15,7 @@ STAGES = (
     "studies",
 )  # fmt: skip
 GROUND = ("errors", "arrays", "rng", "geometry", "config", "workers")
-COMPOSERS = ("pipeline", "cli", "bench", "show", "terminal", "__init__")
+COMPOSERS = ("pipeline", "cli", "bench", "show", "terminal", "__init__", "__main__")
 KERNELS = ROOT / "kernels" / "gmdx_kernels"
 
 

@@ -13,10 +13,14 @@ from gmdx.dataset import schema
 from gmdx.dataset.files import read_json, read_npz, read_ply
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import read_failures
-from gmdx.errors import DatasetError
+from gmdx.errors import DatasetError, UsageError
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.scenes.camera import DepthImage
 from gmdx.scenes.scene import Scene
+
+
+class NotFoundError(DatasetError, UsageError):
+    """There is no such dataset, or nothing of that name in it."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ class Dataset:
         arrays = read_npz(self._folder(object_id) / schema.SCENES_FILE)
         known = arrays["scene_id"].tolist()
         if scene_id not in known:
-            raise DatasetError(
+            raise NotFoundError(
                 f"object {object_id!r} in {self.root} has no scene {scene_id}; it has {known}"
             )
         k = known.index(scene_id)
@@ -171,7 +175,7 @@ class Dataset:
         folder = self.root / schema.OBJECTS_FOLDER / object_id
         if Path(object_id).name != object_id or object_id in ("", "..") or not folder.is_dir():
             known = ", ".join(self.objects[:8]) + (", ..." if len(self.objects) > 8 else "")
-            raise DatasetError(f"{self.root} has no object {object_id!r}; it has: {known}")
+            raise NotFoundError(f"{self.root} has no object {object_id!r}; it has: {known}")
         return folder
 
     def _schema(self, columns: Sequence[str] | None) -> pa.Schema:
@@ -180,7 +184,7 @@ class Dataset:
             return schema.SCHEMA
         unknown = sorted(set(columns) - set(schema.SCHEMA.names))
         if unknown:
-            raise DatasetError(
+            raise NotFoundError(
                 f"no column {unknown[0]!r}; the columns are: {', '.join(schema.SCHEMA.names)}"
             )
         return pa.schema([schema.SCHEMA.field(name) for name in columns])
@@ -192,7 +196,7 @@ class Dataset:
         path = self._folder(object_id) / schema.GRASPS_FILE
         names = self._schema(columns).names
         if scene_id is not None and scene_id not in self.scenes(object_id):
-            raise DatasetError(
+            raise NotFoundError(
                 f"object {object_id!r} in {self.root} has no scene {scene_id}; "
                 f"it has {list(self.scenes(object_id))}"
             )
@@ -215,7 +219,7 @@ def read_dataset(path: str | Path) -> Dataset:
     root = Path(path)
     header = root / schema.DATASET_FILE
     if not header.is_file():
-        raise DatasetError(f"{root} is not a gmdx dataset: it has no {schema.DATASET_FILE}")
+        raise NotFoundError(f"{root} is not a gmdx dataset: it has no {schema.DATASET_FILE}")
     info = read_json(header)
     version = info.get("schema_version")
     if version != schema.SCHEMA_VERSION:

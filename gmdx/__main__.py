@@ -1,0 +1,8 @@
+"""`python -m gmdx` is the command `gmdx`."""
+
+import sys
+
+from gmdx.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())
