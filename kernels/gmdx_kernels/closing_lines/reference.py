@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 if TYPE_CHECKING:
     Array = np.ndarray[Any, np.dtype[Any]]
@@ -69,63 +69,83 @@ def closing_lines(
     n, lines = len(center), len(offsets)
     distance = np.full((n, 2, lines), np.nan)
     triangle = np.full((n, 2, lines), -1)
-    low, high = offsets.min(axis=0), offsets.max(axis=0)
+    span = np.stack([offsets.min(axis=0), offsets.max(axis=0)], axis=1)
+    across = np.cross(up, axis)
+    # Coordinates and corners by rows: whole rows are what the culling works on.
+    columns, corners = np.ascontiguousarray(vertices.T), np.ascontiguousarray(faces.T)
     for i in range(n):
-        # Columns: along the axis, across, up.
-        frame = np.stack([axis[i], np.cross(up[i], axis[i]), up[i]], axis=1)
-        local = (vertices - center[i]) @ frame
-        near = _reaching(local, faces, width[i] / 2, low, high)
+        frame = np.stack([axis[i], across[i], up[i]])
+        local = frame @ columns - (frame @ center[i])[:, None]
+        half = 0.5 * float(width[i])
+        near = _reaching(local, corners, np.vstack([[-half, half], span]))
         if len(near):
-            corners = local[faces[near]]
-            distance[i], which = _touches(corners, offsets, width[i] / 2)
+            found, which = _touches(local[:, corners[:, near]], offsets, half)
+            distance[i] = found
             triangle[i] = np.where(which >= 0, near[which], -1)
     return FirstTouch(distance, triangle)
 
 
 def _reaching(
-    local: Float[Array, "v 3"],
-    faces: Int[Array, "f 3"],
-    half: float,
-    low: Float[Array, "2"],
-    high: Float[Array, "2"],
+    local: Float[Array, "3 v"], corners: Int[Array, "3 f"], box: Float[Array, "3 2"]
 ) -> Int[Array, "m"]:
     """Triangles whose bounding box meets the box that the lines span."""
-    # Six bits a vertex, one a side of the box: a triangle wholly beyond one side keeps that bit.
-    lower = np.array([-half, low[0], low[1]])
-    upper = np.array([half, high[0], high[1]])
-    beyond = (local < lower) @ np.array([1, 2, 4]) + (local > upper) @ np.array([8, 16, 32])
-    beyond = beyond.astype(np.uint8)
-    outside = beyond[faces[:, 0]] & beyond[faces[:, 1]] & beyond[faces[:, 2]]
+    # A bit for each side of the box: a triangle wholly beyond one side keeps that bit.
+    beyond = np.zeros(local.shape[1], np.uint8)
+    for side, (row, (low, high)) in enumerate(zip(local, box, strict=True)):
+        beyond |= np.left_shift(row < low, side, dtype=np.uint8)
+        beyond |= np.left_shift(row > high, side + 3, dtype=np.uint8)
+    outside = beyond[corners[0]] & beyond[corners[1]] & beyond[corners[2]]
     return np.flatnonzero(outside == 0)
 
 
 def _touches(
-    corners: Float[Array, "m 3 3"], offsets: Float[Array, "l 2"], half: float
+    corners: Float[Array, "3 3 m"], offsets: Float[Array, "l 2"], half: float
 ) -> tuple[Float[Array, "2 l"], Int[Array, "2 l"]]:
-    """Distances along the axis and indices among the m triangles of both fingers' touches."""
-    y = corners[:, :, 1, None] - offsets[:, 0]  # m 3 l
-    z = corners[:, :, 2, None] - offsets[:, 1]
+    """Distances along the axis and indices among the m triangles of both fingers' touches.
+
+    Args:
+        corners: Coordinates (along, across, up) of the corners 0, 1, 2 of each triangle, m.
+        offsets: Where the lines cross (across, up), m.
+        half: How far from the centre the fingers are, m.
+    """
+    # Only a triangle whose shadow's bounding box holds a line can meet it.
+    low, high = corners[1:].min(axis=1)[..., None], corners[1:].max(axis=1)[..., None]
+    shadow = (low[0] <= offsets[:, 0]) & (offsets[:, 0] <= high[0])
+    shadow &= (low[1] <= offsets[:, 1]) & (offsets[:, 1] <= high[1])
+    triangle, line = np.nonzero(shadow)
+    x, y, z = corners[:, :, triangle]  # corner, then pair of triangle and line
+    y, z = y - offsets[line, 0], z - offsets[line, 1]
     # Edge functions of the edges opposite to corners 0, 1, 2: their sum is twice the area.
-    a = y[:, 1] * z[:, 2] - z[:, 1] * y[:, 2]
-    b = y[:, 2] * z[:, 0] - z[:, 2] * y[:, 0]
-    c = y[:, 0] * z[:, 1] - z[:, 0] * y[:, 1]
+    a = y[1] * z[2] - z[1] * y[2]
+    b = y[2] * z[0] - z[2] * y[0]
+    c = y[0] * z[1] - z[0] * y[1]
     area = a + b + c
     facing = (a >= 0) & (b >= 0) & (c >= 0) & (area > 0)  # outward normal along +axis
     backing = (a <= 0) & (b <= 0) & (c <= 0) & (area < 0)
-    x = corners[:, :, 0, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = (a * x[:, 0] + b * x[:, 1] + c * x[:, 2]) / area
+        along = (a * x[0] + b * x[1] + c * x[2]) / area
     between = np.abs(along) <= half
+
     distance = np.full((2, len(offsets)), np.nan)
     which = np.full((2, len(offsets)), -1)
     for finger, (sign, enters, leaves) in enumerate(
         [(1.0, backing, facing), (-1.0, facing, backing)]
     ):
-        travel = np.where(enters & between, sign * along, np.inf)
-        exit_travel = np.where(leaves & between, sign * along, np.inf).min(axis=0)
-        first = travel.argmin(axis=0)
-        entry = np.take_along_axis(travel, first[None], axis=0)[0]
-        touches = np.isfinite(entry) & (exit_travel >= entry - _SAME_CROSSING)
+        entry, entered = _first(sign * along, line, enters & between, len(offsets))
+        leaving, _ = _first(sign * along, line, leaves & between, len(offsets))
+        touches = np.isfinite(entry) & (leaving >= entry - _SAME_CROSSING)
         distance[finger, touches] = sign * entry[touches]
-        which[finger, touches] = first[touches]
+        which[finger, touches] = triangle[entered[touches]]
     return distance, which
+
+
+def _first(
+    travel: Float[Array, "p"], line: Int[Array, "p"], among: Bool[Array, "p"], lines: int
+) -> tuple[Float[Array, "l"], Int[Array, "l"]]:
+    """The least travel on each line, infinite without any, and which of the p pairs has it."""
+    pairs = np.flatnonzero(among)
+    order = pairs[np.lexsort((travel[pairs], line[pairs]))]
+    order = order[np.diff(line[order], prepend=-1) > 0]
+    least, pair = np.full(lines, np.inf), np.full(lines, -1)
+    least[line[order]], pair[line[order]] = travel[order], order
+    return least, pair
