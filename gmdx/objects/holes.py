@@ -1,61 +1,71 @@
-"""Fill the small holes of a surface, each with the smallest area that closes it."""
+"""Fill the holes of a surface, each with the smallest area that closes it."""
 
 from dataclasses import dataclass
 
-import networkx
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from gmdx.arrays import Array, Float, Int
+from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.objects.mesh import edge_counts
 
-_LONGEST = 80  # edges around a hole: the work grows with their third power
+_LONGEST = 100  # edges around a hole: the work grows with their third power
 
 
 @dataclass(frozen=True)
 class FilledHoles:
-    """A surface with its small holes filled."""
+    """A surface with its holes filled."""
 
     faces: Int[Array, "g 3"]
     holes: int
     widest: float  # largest distance across a filled hole, in the unit of the vertices
+    area: float  # of all that was filled, in that unit squared
 
 
 def fill_holes(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, widest: float
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, width: float, area: float
 ) -> FilledHoles:
-    """Fill the holes that are no wider than `widest` and bounded by one simple loop of edges.
+    """Fill the holes that are no wider than `width` and take no more than `area` to close.
 
-    No vertex is added. New faces are wound like their neighbours.
+    A hole is a loop of edges that belong to one face each; holes that touch at a vertex are told
+    apart. No vertex is added. The new faces go round the hole against their neighbours, which
+    is right where the neighbours agree.
     """
-    edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    key = np.sort(edges, axis=1) @ np.array([int(faces.max()) + 1, 1])
-    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
-    rim = edges[count[inverse] == 1]
-    directed = {(int(a), int(b)) for a, b in rim}
-    graph = networkx.Graph()
-    graph.add_edges_from(sorted(directed))
+    edges = _edges(faces)
     added: list[Array] = []
-    largest = 0.0
-    for component in sorted(networkx.connected_components(graph), key=min):
-        loop = _simple_loop(graph, component)
-        if loop is None or len(loop) > _LONGEST:
-            continue
+    widest = filled = 0.0
+    for loop in _loops(faces):
         points = vertices[loop]
         across = float(np.linalg.norm(points[:, None] - points[None], axis=2).max())
-        if across > widest:
+        if len(loop) > _LONGEST or across > width:
             continue
-        if (loop[0], loop[1]) in directed:  # the neighbour's edge must be run through backwards
-            loop = loop[::-1]
-        added.append(np.array(loop)[smallest_triangulation(vertices[loop])])
-        largest = max(largest, across)
-    return FilledHoles(np.concatenate([faces, *added]), len(added), largest)
+        triangles = smallest_triangulation(points, forbidden=_forbidden(loop, edges))
+        a, b, c = np.moveaxis(points[triangles], 1, 0)
+        closing = float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        new = loop[triangles]
+        pinched = (new[:, 0] == new[:, 1]) | (new[:, 1] == new[:, 2]) | (new[:, 2] == new[:, 0])
+        if closing <= area and not pinched.any():
+            added.append(new)
+            edges |= _edges(new)
+            widest, filled = max(widest, across), filled + closing
+    return FilledHoles(np.concatenate([faces, *added]), len(added), widest, filled)
 
 
-def smallest_triangulation(points: Float[Array, "n 3"]) -> Int[Array, "m 3"]:
+def smallest_triangulation(
+    points: Float[Array, "n 3"], *, forbidden: Bool[Array, "n n"] | None = None
+) -> Int[Array, "m 3"]:
     """The triangles of least area in sum that span a closed polygon in space (m = n - 2).
 
     Dynamic programming over the polygon's diagonals (Barequet and Sharir 1995).
+
+    Args:
+        points: The corners in order, in any unit.
+        forbidden: Diagonals that are taken only if there is no other way.
     """
     n = len(points)
+    fine = np.zeros((n, n))
+    if forbidden is not None:
+        fine[forbidden] = 1e3 * n * float(np.ptp(points, axis=0).max()) ** 2
     best = np.zeros((n, n))
     middle = np.zeros((n, n), int)
     for span in range(2, n):
@@ -67,7 +77,7 @@ def smallest_triangulation(points: Float[Array, "n 3"]) -> Int[Array, "m 3"]:
             )
             cost = best[i, j] + best[j, k] + area
             choice = int(np.argmin(cost))
-            best[i, k], middle[i, k] = cost[choice], j[choice]
+            best[i, k], middle[i, k] = cost[choice] + fine[i, k], j[choice]
     triangles: list[tuple[int, int, int]] = []
     open_spans: list[tuple[int, int]] = [(0, n - 1)]
     while open_spans:
@@ -79,13 +89,58 @@ def smallest_triangulation(points: Float[Array, "n 3"]) -> Int[Array, "m 3"]:
     return np.array(triangles, np.int64)
 
 
-def _simple_loop(graph: networkx.Graph, component: set[int]) -> list[int] | None:
-    """The vertices around a component in order, or None if it is more than one loop."""
-    if len(component) < 3 or any(graph.degree(v) != 2 for v in component):
-        return None
-    start = min(component)
-    loop, previous, at = [start], start, min(graph.neighbors(start))
-    while at != start:
-        loop.append(at)
-        previous, at = at, next(v for v in graph.neighbors(at) if v != previous)
-    return loop
+def _edges(faces: Int[Array, "f 3"]) -> set[tuple[int, int]]:
+    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return set(map(tuple, pairs.tolist()))
+
+
+def _forbidden(loop: Int[Array, "n"], edges: set[tuple[int, int]]) -> Bool[Array, "n n"]:
+    """Diagonals between a vertex and itself, or along an edge that has its two faces already."""
+    n = len(loop)
+    result = np.zeros((n, n), bool)
+    for i in range(n):
+        for k in range(i + 2, n):
+            a, b = sorted((int(loop[i]), int(loop[k])))
+            result[i, k] = (i, k) != (0, n - 1) and (a == b or (a, b) in edges)
+    return result
+
+
+def _loops(faces: Int[Array, "f 3"]) -> list[Int[Array, "_"]]:
+    """Vertices around each hole, in the direction that faces filling it have."""
+    fans = _fans(faces)
+    start, end = fans, np.roll(fans, -1, axis=1)
+    rim = edge_counts(faces) == 1
+    # backwards along the border: a face that fills runs through each edge against its neighbour
+    following = dict(zip(end[rim].tolist(), start[rim].tolist(), strict=True))
+    vertex = np.empty(int(fans.max()) + 1, np.int64)
+    vertex[fans] = faces
+    loops: list[Array] = []
+    while following:
+        first, at = next(iter(following.items()))
+        loop = [first]
+        del following[first]
+        while at != first and at in following:
+            loop.append(at)
+            at = following.pop(at)
+        if at == first and len(loop) > 2:
+            loops.append(vertex[loop])
+    return loops
+
+
+def _fans(faces: Int[Array, "f 3"]) -> Int[Array, "f 3"]:
+    """A number for each corner, the same for the corners around a vertex that share edges.
+
+    Where two sheets touch at a vertex only, their corners have different numbers.
+    """
+    tail, head = faces, np.roll(faces, -1, axis=1)
+    key = np.minimum(tail, head) * (int(faces.max()) + 1) + np.maximum(tail, head)
+    order = np.argsort(key.ravel(), kind="stable")
+    _, start, count = np.unique(key.ravel()[order], return_index=True, return_counts=True)
+    a, b = order[start[count == 2]], order[start[count == 2] + 1]
+    next_corner = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    alike = faces.ravel()[a] == faces.ravel()[b]
+    here = np.concatenate([a, next_corner[a]])
+    there = np.concatenate([np.where(alike, b, next_corner[b]), np.where(alike, next_corner[b], b)])
+    graph = coo_array((np.ones(len(here), np.int8), (here, there)), shape=(faces.size,) * 2)
+    label: Array = connected_components(graph, directed=False)[1]
+    return label.astype(np.int64).reshape(-1, 3)

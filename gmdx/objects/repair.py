@@ -28,7 +28,8 @@ class RepairConfig:
     """Bounds of the repairs. Lengths are shares of the mesh's bounding-box diagonal."""
 
     merge: float = 1e-6  # vertices as close as this are one
-    hole: float = 0.15  # widest hole that is filled; wider ones are openings of a hollow object
+    hole_width: float = 0.3  # widest hole that is filled
+    hole_area: float = 0.04  # area of a hole / surface, above which it is a hollow object's opening
     shell: float = 0.01  # thickness given to surfaces that are open on both sides
     debris: float = 5e-4  # volume of a separate part / whole, below which it is dropped
     flap: float = 0.01  # area of a loose flap / whole, below which it is dropped
@@ -73,7 +74,8 @@ class _Work:
         """Take over a simplified surface."""
         detail: dict[str, Any] = {"before": len(self.faces), "after": len(simple.faces)}
         self.vertices, self.faces = simple.vertices, simple.faces
-        self.done(name, **detail, deviation=simple.deviation, volume_ratio=simple.volume_ratio)
+        detail |= {"method": simple.method, "deviation": simple.deviation}
+        self.done(name, **detail, volume_ratio=simple.volume_ratio)
 
 
 def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> RepairedMesh:
@@ -94,10 +96,7 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
         source_volume = abs(_volume(work))
     if not watertight_source:
         _drop_flaps(work, share=config.flap)
-        filled = fill_holes(work.vertices, work.faces, widest=config.hole * diagonal)
-        if filled.holes:
-            work.faces = filled.faces
-            work.done("fill holes", holes=filled.holes, widest=filled.widest)
+        _fill_holes(work, width=config.hole_width * diagonal, share=config.hole_area)
     faces, turned = consistent_faces(work.faces)
     if turned.any() and is_closed(faces) and is_consistent(faces):
         work.faces = faces
@@ -165,6 +164,20 @@ def _drop_flaps(work: _Work, *, share: float) -> None:
             faces=int(drop.sum()),
             area_share=float(area[drop].sum() / area.sum()),
         )
+
+
+def _fill_holes(work: _Work, *, width: float, share: float) -> None:
+    """Close what is missing of the surface, but not what is open by design."""
+    faces, turned = consistent_faces(work.faces)
+    area = float(as_trimesh(work.vertices, faces).area)
+    filled = fill_holes(work.vertices, faces, width=width, area=share * area)
+    if filled.holes == 0:
+        return
+    if turned.any():
+        work.done("turn faces to agree", faces=int(turned.sum()))
+    work.faces = filled.faces
+    detail = {"holes": filled.holes, "widest": filled.widest, "area_share": filled.area / area}
+    work.done("fill holes", **detail)
 
 
 def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:

@@ -15,6 +15,7 @@ _SAMPLES = np.array(
     [[1, 1, 1], [8, 1, 1], [1, 8, 1], [1, 1, 8], [5, 5, 1], [5, 1, 5], [1, 5, 5]], float
 )
 _SAMPLES /= _SAMPLES.sum(axis=1, keepdims=True)
+_SHARPEST = 0.4  # cosine between a corner and its faces, below which it is not drawn out more
 _OVERLAP = 1.02  # walls reach a little into the space that they close, so that no gap is left
 
 
@@ -122,20 +123,24 @@ def thicken(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, thicknes
 def _corner_normals(
     vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
 ) -> Float[Array, "f 3 3"]:
-    """Unit normal at each corner of each face: the mean over the faces of its patch there."""
+    """At each corner of each face, where it goes if all faces of its patch there move out by 1."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     face_normal = np.cross(b - a, c - a)
     face_normal /= np.maximum(np.linalg.norm(face_normal, axis=1, keepdims=True), 1e-300)
     key = faces + len(vertices) * patches(faces)[:, None]
     _, corner = np.unique(key, return_inverse=True)
     corner = corner.reshape(-1, 3)
-    mean = np.zeros((int(corner.max()) + 1, 3))
+    total = np.zeros((int(corner.max()) + 1, 3))
+    weight = np.zeros(len(total))
     for i in range(3):  # weighted by the angle, so that the triangulation of a plane is no matter
         u = vertices[faces[:, (i + 1) % 3]] - vertices[faces[:, i]]
         v = vertices[faces[:, (i + 2) % 3]] - vertices[faces[:, i]]
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
-        np.add.at(mean, corner[:, i], angle[:, None] * face_normal)
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+        np.add.at(total, corner[:, i], angle[:, None] * face_normal)
+        np.add.at(weight, corner[:, i], angle)
+    mean = total / np.maximum(weight, 1e-300)[:, None]
+    # |mean| is the cosine between it and the faces: lengthened so that they move by 1
+    mean /= np.maximum((mean * mean).sum(axis=1), _SHARPEST**2)[:, None]
     result = mean[corner]
     against = (result * face_normal[:, None]).sum(axis=2) < 0.2  # a spike: the mean is sideways
     return np.where(against[:, :, None], face_normal[:, None], result)
