@@ -184,11 +184,14 @@ def _window(
     aspect = share * config.width / config.height
     half_width = 0.5 * max(size[0], aspect * size[1])
     half_height = half_width / aspect
-    # Stay on the image where it is large enough.
-    ends = np.array([width, height]) - 0.5
+    # Stay on the image, or on what reaches beyond it, where there is room.
     half = np.array([half_width, half_height])
-    within = np.clip(middle, half - 0.5, np.maximum(ends - half, half - 0.5))
-    u, v = np.where(2 * half <= ends + 0.5, within, 0.5 * (ends - 0.5))
+    first = np.minimum(low - 0.04 * size, -0.5)
+    last = np.maximum(high + 0.04 * size, np.array([width, height]) - 0.5)
+    roomy = 2 * half <= last - first
+    u, v = np.where(
+        roomy, np.minimum(np.maximum(middle, first + half), last - half), 0.5 * (first + last)
+    )
     return u - half_width, u + half_width, v + half_height, v - half_height
 
 
