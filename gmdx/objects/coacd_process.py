@@ -35,7 +35,7 @@ class CoacdConfig:
     mcts_nodes: int = 10
     mcts_iterations: int = 15
     mcts_max_depth: int = 2
-    wall_factor: float = 5.0  # wall clock limit / CPU limit, for a busy machine
+    wall_factor: float = 10.0  # wall clock limit / CPU limit, for a busy machine
 
 
 def run_coacd(

@@ -34,7 +34,7 @@ log = logging.getLogger("gmdx")
 
 @dataclass(frozen=True)
 class Attempt:
-    """One run of CoACD, tried in order until the result is within bounds."""
+    """One run of CoACD; finer ones follow where a coarser one is not close enough."""
 
     threshold: float  # m, concavity that CoACD leaves in a part
     seconds: float  # s of CPU time
@@ -53,10 +53,10 @@ class DecomposeConfig:
     max_hulls: int = 64
     max_vertices: int = 64  # of one hull
     vertex_tolerance: float = 2e-4  # m, by which a vertex left out of a hull may stick out
-    overlap: float = 1e-5  # m, growth of each of several hulls, so that no slit is left between
+    overlap: float = 2e-5  # m, growth of each of several hulls, so that no slit is left between
     min_thickness: float = 1e-5  # m, thinner parts are dropped
     headroom: float = 0.95  # share of the bounds that the search uses
-    fine_faces: int = 3000  # above this many triangles CoACD sees a simplified copy
+    max_faces: int = 3000  # above this many triangles CoACD sees a simplified copy
     simplify_tolerances: tuple[float, ...] = (1e-4, 2e-4, 3e-4)  # m, tried in turn
     shell_thickness: float = 2.5e-3  # m, a shell's mean thickness (2 V / A) is at most this
     shell_fill: float = 0.35  # and it fills at most this share of its convex hull
@@ -131,6 +131,8 @@ def decompose(
         if found is not None:
             entry |= {"hulls": len(found.hulls), "strain": _round(found.strain)}
             best = min(best, found, key=lambda c: (c.excess(config.headroom), len(c.hulls)))
+        if len(kept) > 2 * config.max_hulls:
+            break  # the limit on hulls is what keeps it out of bounds, not CoACD's threshold
     failed = bool(attempts) and all("failure" in a for a in attempts)
     if failed:
         log.warning("every attempt of CoACD failed; the convex hull stands in")
@@ -168,7 +170,7 @@ class _Task:
         self, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
     ) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"], float]:
         """A copy with fewer triangles for CoACD, and its largest measured deviation, m."""
-        if len(faces) <= self.config.fine_faces:
+        if len(faces) <= self.config.max_faces:
             return vertices, faces, 0.0
         solid = manifold3d.Manifold(
             manifold3d.Mesh64(
@@ -181,7 +183,7 @@ class _Task:
             return vertices, faces, 0.0
         for tolerance in self.config.simplify_tolerances:
             coarse = solid.simplify(tolerance).to_mesh64()
-            if len(coarse.tri_verts) <= self.config.fine_faces:
+            if len(coarse.tri_verts) <= self.config.max_faces:
                 break
         coarse_vertices = np.array(coarse.vert_properties[:, :3], float)
         coarse_faces = np.array(coarse.tri_verts, np.int64)

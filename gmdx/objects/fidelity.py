@@ -83,8 +83,9 @@ def triangle_distance(
 class SurfaceIndex:
     """A surface that points can ask for their distance to it.
 
-    The distance is exact to one of the triangles that own the nearest samples: never too
-    small, and too large only where a nearer triangle owns none of them.
+    The distance is exact to one of the triangles that own the nearest anchors: points spread
+    over the surface, centroids, and points along edges, which belong to the triangles on both
+    sides. So it is never too small, and too large only where a nearer triangle owns none.
     """
 
     def __init__(
@@ -93,8 +94,9 @@ class SurfaceIndex:
         self.triangles: Float[Array, "f 3 3"] = np.asarray(vertices, float)[faces]
         rng = generator(seed, "surface samples")
         self.samples, owner = surface_samples(self.triangles, n, rng)
-        anchors = np.concatenate([self.samples, self.triangles.mean(axis=1)])
-        self._owner = np.concatenate([owner, np.arange(len(self.triangles))])
+        along, beside = _edge_anchors(self.triangles, n)
+        anchors = np.concatenate([self.samples, self.triangles.mean(axis=1), along])
+        self._owner = np.concatenate([owner, np.arange(len(self.triangles)), beside])
         self._tree = cKDTree(anchors)
 
     def distance(self, points: Float[Array, "n 3"], *, nearest: int = 8) -> Float[Array, "n"]:
@@ -133,6 +135,21 @@ def measure_fidelity(
         to_surface=_summary(surface.distance(boundary.samples)),
         from_surface=_summary(boundary.distance(surface.samples)),
     )
+
+
+def _edge_anchors(
+    triangles: Float[Array, "f 3 3"], n: int
+) -> tuple[Float[Array, "m 3"], Int[Array, "m"]]:
+    """Points along the longer edges, about as dense as n points on the surface, and owners."""
+    start = triangles.reshape(-1, 3)
+    edge = np.roll(triangles, -1, axis=1).reshape(-1, 3) - start
+    length = np.linalg.norm(edge, axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(edge[0::3], edge[1::3]), axis=1).sum()
+    count = np.minimum(length / np.sqrt(max(area, 1e-300) / n), n).astype(np.int64)
+    which = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    share = (step + 0.5) / count[which]
+    return start[which] + share[:, None] * edge[which], which // 3
 
 
 def _summary(distances: Float[Array, "n"]) -> Distances:
