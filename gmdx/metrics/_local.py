@@ -130,7 +130,7 @@ def _reach(
     b = np.einsum("skr,skr->sk", y, signed)
     root = np.sqrt(np.maximum(b * b - a * det, 0.0)) - b
     reach = det / np.maximum(root, 1e-12 * det)
-    apex = np.where(dy[..., 0] < 0, y[..., 0] / np.maximum(-dy[..., 0], _TINY), np.inf)
+    apex = np.where(dy[..., 0] < 0, y[..., 0] / np.maximum(-dy[..., 0], 1e-12 * y[..., 0]), np.inf)
     least: Array = np.minimum(reach, apex).min(axis=1)
     return least
 

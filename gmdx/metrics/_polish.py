@@ -84,7 +84,7 @@ def _stationary(
     admissible = False
     for iteration in range(_ITERATIONS):
         pull = grams @ u
-        length = np.sqrt(pull @ u)
+        length = np.sqrt(np.maximum(pull @ u, 0.0))
         if not (length > 1e-12).all():
             break
         slopes = np.concatenate([rounded + pull / length[:, None], tips])

@@ -28,6 +28,7 @@ _LORENTZ = np.diag([1.0, -1.0, -1.0, -1.0])
 _PAULI = np.array([[[1, 0], [0, 1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 _KRON = np.array([np.kron(a, b) for a in _PAULI for b in _PAULI]) / 4
 _KRON_TRANSPOSED = np.array([np.kron(a, b.T) for a in _PAULI for b in _PAULI]) / 4
+_DRAWN = np.array([0.0, 1e-7, 1e-5, 1e-4, 2e-3])
 _ROUNDING = 200 * np.finfo(float).eps  # of sums of some 100 products, relative to their size
 
 
@@ -61,16 +62,17 @@ def relaxation_bound(
         transposed: Whether to use the family of transposed products as well.
         tol: Relative accuracy asked of the solver. The bound is valid whatever it is.
     """
-    forms = _forms(cones)
+    # In coordinates in which K is round the programme is well-posed and its proof accurate.
+    width, axes = np.linalg.eigh(cones.columns.T @ cones.columns)
+    if not width[0] > 0:
+        return LowerBound(0.0, np.zeros((0, 6)))
+    rounding = axes / np.sqrt(width)
+    forms = _forms(cones, rounding)
     k = len(forms)
-    # Roundness makes the solver's work well-posed; the bound is proved without it.
-    gram = cones.columns.T @ cones.columns
-    width, axes = np.linalg.eigh(gram)
-    scale = np.eye(7)
-    scale[1:, 1:] = (axes / np.sqrt(width)) @ axes.T
     template = _template(k, pairs, transposed)
     data = template.data.copy()
-    data[template.slots] = -_svec(scale @ _matrices(forms, pairs, transposed) @ scale).T
+    ball = np.diag([0.0, *(width[0] / width)])
+    data[template.slots] = -_svec(_matrices(forms, pairs, ball, transposed)).T
     size = int(template.indptr.size) - 1
     rows = k + 28 + 36 * len(template.families) * len(pairs)
     b = np.zeros(rows)
@@ -89,8 +91,10 @@ def relaxation_bound(
     x = np.asarray(solution.x)
     if not np.isfinite(x).all():
         return LowerBound(0.0, np.zeros((0, 6)))
-    value = _proved(forms, pairs, x[1 : k + 1], x[k + 1 :], template.families)
-    moment = scale @ _smat(np.asarray(solution.z)[k : k + 28]) @ scale
+    value = _proved(forms, pairs, x[1 : k + 1], x[k + 1 :], template.families, width)
+    moment = _smat(np.asarray(solution.z)[k : k + 28])
+    moment[1:] = rounding @ moment[1:]
+    moment[:, 1:] = moment[:, 1:] @ rounding.T
     return LowerBound(value, _directions(moment))
 
 
@@ -100,8 +104,12 @@ def _proved(
     multipliers: Float[Array, "k"],
     products: Float[Array, "m"],
     families: tuple[Array, ...],
+    width: Float[Array, "6"],
 ) -> float:
-    """The epsilon that multipliers prove, after making them exactly admissible."""
+    """The epsilon that multipliers prove, after making them exactly admissible.
+
+    In rounded coordinates x, |u|^2 is x^T diag(1 / width) x.
+    """
     total = np.zeros((7, 7))
     for form, weight in zip(forms, np.maximum(multipliers, 0.0), strict=True):
         total += weight * form.T @ _LORENTZ @ form
@@ -116,14 +124,27 @@ def _proved(
             term = forms[i].T @ matrix @ forms[j]
             total += 0.5 * (term + term.T)
             size = max(size, np.abs(term).max())
-    rest = -total
-    rest[0, 0] += 1.0
-    if rest[0, 0] <= 0:
+    # Where (t, u) and (t, -u) are both worst, the t^2 entry of the matrix vanishes and rounding
+    # would decide: multipliers drawn a little towards 0 are admissible too and leave some of it.
+    rest = -(1.0 - _DRAWN)[:, None, None] * total
+    rest[:, 0, 0] += 1.0
+    corner = rest[:, 0, 0]
+    rest = rest[corner > 0]
+    corner = corner[corner > 0, None, None]
+    edge = rest[:, 1:, :1]
+    outer = edge @ edge.transpose(0, 2, 1) / corner
+    sizes = np.maximum(max(size, 1.0), np.abs(outer).max(axis=(1, 2), initial=0.0))
+    # Rounding a thin K to a ball magnifies the rounding of its contacts' wrenches as much.
+    blur = _ROUNDING * (1.0 + 0.1 * np.sqrt(width[-1] / width[0]))
+    schur = rest[:, 1:, 1:] - outer - blur * sizes[:, None, None] * np.eye(6)
+    w, v = np.linalg.eigh(schur)
+    positive = w[:, 0] > _ROUNDING * w[:, -1]
+    if not positive.any():
         return 0.0
-    schur = rest[1:, 1:] - np.outer(rest[1:, 0], rest[1:, 0]) / rest[0, 0]
-    size = max(size, 1.0, np.abs(rest[1:, 0]).max() ** 2 / rest[0, 0])
-    theta = np.linalg.eigvalsh(schur)[0] - _ROUNDING * size
-    return float(np.sqrt(max(theta, 0.0)))
+    w, v = w[positive], v[positive]
+    # The largest theta with schur >= theta / width, from the norm of schur^(-1/2) width^(-1/2).
+    low = np.linalg.norm(v.transpose(0, 2, 1) / np.sqrt(w[:, :, None] * width), 2, axis=(1, 2))
+    return float(((1.0 - _ROUNDING * w[:, -1] / w[:, 0]) / low).max())
 
 
 def _directions(moment: Float[Array, "7 7"]) -> Float[Array, "m 6"]:
@@ -137,27 +158,26 @@ def _directions(moment: Float[Array, "7 7"]) -> Float[Array, "m 6"]:
     return directions
 
 
-def _forms(cones: WrenchCones) -> Float[Array, "k 4 7"]:
-    """A_i: (t, u) to y_i."""
+def _forms(cones: WrenchCones, rounding: Float[Array, "6 6"]) -> Float[Array, "k 4 7"]:
+    """A_i: (t, x) to y_i, where u = rounding x."""
     k = len(cones.centers)
     forms = np.zeros((k, 4, 7))
     forms[:, 0, 0] = 1.0
-    forms[:, 0, 1:] = -cones.centers
-    forms[:, 1:, 1:] = cones.spreads
+    forms[:, 0, 1:] = -cones.centers @ rounding
+    forms[:, 1:, 1:] = cones.spreads @ rounding
     return forms
 
 
 def _matrices(
-    forms: Float[Array, "k 4 7"], pairs: Pairs, transposed: bool
+    forms: Float[Array, "k 4 7"], pairs: Pairs, ball: Float[Array, "7 7"], transposed: bool
 ) -> Float[Array, "v 7 7"]:
     """Coefficients of every variable in the 7x7 matrix: theta, l_i, and 16 a product."""
-    ball = np.diag([0.0, *[1.0] * 6])[None]
     quadratic = forms.transpose(0, 2, 1) @ _LORENTZ @ forms
     left, right = np.array(pairs, int).T
     outer = forms[left][:, :, None, :, None] * forms[right][:, None, :, None, :]
     outer = outer.reshape(-1, 7, 7)
     outer = 0.5 * (outer + outer.transpose(0, 2, 1))
-    return -np.concatenate([ball, quadratic, outer] + ([outer] if transposed else []))
+    return -np.concatenate([ball[None], quadratic, outer] + ([outer] if transposed else []))
 
 
 @lru_cache(maxsize=64)
