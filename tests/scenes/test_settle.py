@@ -1,6 +1,7 @@
 """Settling against closed forms: free fall, energy, resting faces, and rest itself."""
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import mujoco
@@ -168,6 +169,25 @@ def test_lies_on_the_table_above_the_origin(shape: str) -> None:
         assert lowest_points(scene).hulls == pytest.approx(lowest, abs=1e-12)
         assert np.linalg.norm(scene.quaternion) == pytest.approx(1, abs=1e-12)
         assert 0 < scene.settle_time < 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["l_profile", "hammer"])
+def test_bundled_objects_rest_on_their_hulls(name: str) -> None:
+    from gmdx.objects.prepare import load_object  # brings CoACD, which the other tests spare
+
+    path = files("gmdx_assets") / "objects" / f"{name}.obj"
+    obj = load_object(Path(str(path)), cache=None)
+    model = scene_model(obj, PhysicsConfig())
+    for k in range(10):
+        scene = settle(obj, scene_id=k)
+        assert -3e-4 < lowest_points(scene).hulls < 1e-5
+        data = mujoco.MjData(model)
+        data.qpos[:] = [*scene.position, *scene.quaternion]
+        mujoco.mj_step(model, data, 250)
+        assert np.linalg.norm(data.qpos[:3] - scene.position) < 3e-4
+        turned = rotation_angle(data.qpos[None, 3:], scene.quaternion[None])[0]
+        assert turned * obj.radius < 3e-4
 
 
 @pytest.mark.parametrize("seed", range(8))
