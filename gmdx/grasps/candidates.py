@@ -81,11 +81,13 @@ def dense(
     """
     fractions = np.mod(rng.random(4) + _halton(n), 1.0)
     footprint = surface.vertices[:, :2]
-    axes = np.linalg.eigh(np.cov(footprint.T))[1]
-    low, high = (footprint @ axes).min(axis=0), (footprint @ axes).max(axis=0)
+    spread = footprint - footprint.mean(axis=0)
+    axes = np.linalg.eigh(np.einsum("va,vb->ab", spread, spread))[1]
+    extent = np.einsum("va,ab->vb", footprint, axes)
+    low, high = extent.min(axis=0), extent.max(axis=0)
     for number in _blocks(n):
         u = fractions[number]
-        xy = (low + u[:, :2] * (high - low)) @ axes.T
+        xy = np.einsum("nb,ab->na", low + u[:, :2] * (high - low), axes)
         top = _height_at(surface, xy)
         above = np.isfinite(top)
         height = lowest + u[:, 2] * np.maximum(top - lowest, 0.0)

@@ -61,10 +61,10 @@ def closing_contacts(
         config: The grid and the tolerance.
     """
     config = LineConfig() if config is None else config
-    obj, rotation = scene.object, scene.rotation
+    obj = scene.object
     center = scene.to_object(grasps.center)
-    axis = grasps.axis @ rotation
-    up = np.broadcast_to(_WORLD_UP @ rotation, center.shape)
+    axis = scene.direction_to_object(grasps.axis)
+    up = np.broadcast_to(scene.direction_to_object(_WORLD_UP), center.shape)
     offsets = np.concatenate([np.zeros((1, 2)), pad_grid(gripper.pad_size, config.grid)])
     touch = closing_lines(obj.vertices, obj.faces, center, axis, up, grasps.width, offsets=offsets)
     lines = center[:, None] + _across(offsets, axis, up)  # n l 3

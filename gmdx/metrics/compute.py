@@ -136,7 +136,7 @@ def compute_metrics(
     with clock.stage("contact"):
         analytical = closing_contacts(scene, grasps, gripper=gripper, config=config.lines)
         pair_d = _pair(analytical.pads)
-        values |= _analytical_metrics(pair_d, center, grasps.axis @ scene.rotation)
+        values |= _analytical_metrics(pair_d, center, scene.direction_to_object(grasps.axis))
     with clock.stage("trial"):
         pair_s = _pair(trials.contacts)
         values |= _simulative_metrics(pair_s, obj, grasps, trials)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from gmdx.arrays import Array, Float
 from gmdx.geometry import quaternion_matrix
 from gmdx.objects.model import ObjectModel
@@ -25,8 +27,16 @@ class Scene:
 
     def to_world(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Points from the object's frame to the world, m."""
-        return points @ self.rotation.T + self.position
+        turned: Array = np.einsum("...j,ij->...i", points, self.rotation)
+        return turned + self.position
 
     def to_object(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Points from the world to the object's frame, m."""
-        return (points - self.position) @ self.rotation
+        return self.direction_to_object(points - self.position)
+
+    def direction_to_object(self, vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Directions from the world to the object's frame."""
+        # Not `@`: BLAS rounds one vector in another way than a batch of them, and a grasp's
+        # numbers must not depend on its batch.
+        turned: Array = np.einsum("...j,ji->...i", vectors, self.rotation)
+        return turned

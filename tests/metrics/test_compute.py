@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -315,6 +315,38 @@ def test_twice_the_size_doubles_lengths_and_keeps_ratios(hammer: trimesh.Trimesh
         np.testing.assert_allclose(
             after[name], factor * before[name], rtol=rtol, atol=1e-9, err_msg=name
         )
+
+
+def test_a_grasp_does_not_depend_on_its_batch(hammer: trimesh.Trimesh) -> None:
+    scene = resting_scene(mesh_object(hammer), quaternion=turned_quaternion((1.0, 2.0, 3.0), 0.7))
+    grasps = _some_grasps(scene, 9, 0.08)
+    rng = np.random.default_rng(0)
+    quaternion = rng.standard_normal((9, 4, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
+    trials = _still_trials(
+        scene,
+        grasps,
+        object_quaternion=quaternion,
+        object_position=rng.standard_normal((9, 4, 3)),
+        contacts=_contacts(rng.normal(0, 0.02, (9, 2, 2, 3)), rng.standard_normal((9, 2, 2, 3))),
+    )
+    config = MetricConfig(rtol_pair=0.05, rtol_patch=0.2)  # quick: only sameness matters
+    unit = trials.contacts.normals / np.linalg.norm(trials.contacts.normals, axis=3, keepdims=True)
+    trials = replace(trials, contacts=replace(trials.contacts, normals=unit))
+    whole = compute_metrics(scene, grasps, trials, config=config)
+    parts = [
+        compute_metrics(scene, grasps[rows], _rows(trials, rows), config=config)
+        for rows in (slice(0, 1), slice(1, 3), slice(3, 9))
+    ]
+    for name in METRIC_NAMES:
+        together = np.concatenate([part[name] for part in parts])
+        np.testing.assert_array_equal(together, whole[name], err_msg=name)
+
+
+def _rows(trials: TrialResults, rows: slice) -> TrialResults:
+    whole = ("backend", "steps", "step_seconds", "seconds")
+    parts = {f.name: getattr(trials, f.name)[rows] for f in fields(trials) if f.name not in whole}
+    return replace(trials, **parts)
 
 
 def test_normalised_columns_are_the_exact_ratio(hammer: trimesh.Trimesh) -> None:

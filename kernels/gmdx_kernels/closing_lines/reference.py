@@ -75,7 +75,8 @@ def closing_lines(
     columns, corners = np.ascontiguousarray(vertices.T), np.ascontiguousarray(faces.T)
     for i in range(n):
         frame = np.stack([axis[i], across[i], up[i]])
-        local = frame @ columns - (frame @ center[i])[:, None]
+        # Not `@`: the last bits of BLAS depend on its threads.
+        local = np.einsum("ij,jv->iv", frame, columns - center[i, :, None])
         half = 0.5 * float(width[i])
         near = _reaching(local, corners, np.vstack([[-half, half], span]))
         if len(near):
