@@ -14,6 +14,7 @@ from scipy.stats import chisquare
 from gmdx.errors import ConfigError, SceneError
 from gmdx.geometry import quaternion_matrix, random_quaternion, rotation_angle
 from gmdx.objects.model import ObjectModel
+from gmdx.objects.prepare import load_object
 from gmdx.rng import generator
 from gmdx.scenes.build import PhysicsConfig, scene_model
 from gmdx.scenes.scene import Scene
@@ -174,8 +175,6 @@ def test_lies_on_the_table_above_the_origin(shape: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["l_profile", "hammer"])
 def test_bundled_objects_rest_on_their_hulls(name: str) -> None:
-    from gmdx.objects.prepare import load_object  # brings CoACD, which the other tests spare
-
     path = files("gmdx_assets") / "objects" / f"{name}.obj"
     obj = load_object(Path(str(path)), cache=None)
     model = scene_model(obj, PhysicsConfig())
