@@ -20,7 +20,7 @@ FILES = {
 FLAGS = ("--grasps", "6", "--scenes", "2", "--trials", "2", "--seed", "5")
 
 
-def small_config(cache: Path, **options: object) -> GenerateConfig:
+def small_config(cache: Path | None, **options: object) -> GenerateConfig:
     """What FLAGS say, as a configuration."""
     values = {"grasps": 6, "scenes": 2, "trials": 2, "seed": 5, "cache": cache} | options
     return GenerateConfig(**values)  # type: ignore[arg-type]

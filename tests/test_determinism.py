@@ -54,7 +54,7 @@ def test_batches_change_nothing(
 def test_the_cache_changes_nothing(
     meshes: Path, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
-    generate(meshes, tmp_path, small_config(tmp_path / "cache", cache=None, batch=4))
+    generate(meshes, tmp_path, small_config(None, batch=4))
     assert contents(tmp_path) == expected
 
 
