@@ -51,8 +51,8 @@ class ContactSet:
 def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
     """Bounds of epsilon by the cheapest route that proves them.
 
-    Two contacts: closure by Nguyen's test, then one semidefinite relaxation, exact on every
-    pair seen so far. More contacts: a local search, the relaxation over the contacts that
+    Two contacts: closure by Nguyen's test or by projection, then one semidefinite relaxation,
+    exact on every pair seen so far. More contacts: a local search, the relaxation over the contacts that
     bear the worst wrench (fewer contacts make K smaller, so the bound holds for all), and the
     inner polytope where that is not enough.
 
@@ -66,7 +66,9 @@ def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
         return _flat(contacts, axes[-1], signed)
     if len(contacts.points) == 2:
         closed = pair_closure(contacts.points, contacts.normals, friction=contacts.friction)
-        return _pair(contacts) if closed else _open(contacts, signed)
+        if not closed and project_origin(contacts.cones).separation > 0:
+            return _open(contacts, signed)
+        return _pair(contacts)
     return _several(contacts, signed)
 
 

@@ -59,7 +59,7 @@ def project_origin(cones: WrenchCones) -> Projection:
     return Projection(float(np.linalg.norm(point)), float(-h.min()), directions[int(h.argmin())])
 
 
-def _inside(force: Float[Array, "k 4"]) -> Float[Array, "4k"]:
+def _inside(force: Float[Array, "k 4"]) -> Float[Array, "r"]:
     """The nearest forces that obey every constraint exactly."""
     a = np.maximum(force[:, 0], 0.0)
     length = np.linalg.norm(force[:, 1:], axis=1)

@@ -27,7 +27,7 @@ class WrenchCones:
         return WrenchCones(self.centers[index], self.spreads[index])
 
     @property
-    def columns(self) -> Float[Array, "*n 4k 6"]:
+    def columns(self) -> Float[Array, "*n r 6"]:
         """All centres and spreads of a grasp: they span what its contacts can exert."""
         both = np.concatenate([self.centers[..., None, :], self.spreads], axis=-2)
         return both.reshape(*both.shape[:-3], -1, 6)
@@ -84,8 +84,7 @@ def contact_supports(cones: WrenchCones, u: Float[Array, "*m 6"]) -> Float[Array
 
 def support(cones: WrenchCones, u: Float[Array, "*m 6"]) -> Float[Array, "*m"]:
     """h(u) = max_i h_i(u): support function of the grasp wrench space K."""
-    h: Array = contact_supports(cones, u).max(axis=-1)
-    return h
+    return np.asarray(contact_supports(cones, u).max(axis=-1))
 
 
 def support_points(cones: WrenchCones, u: Float[Array, "m 6"]) -> Float[Array, "m k 6"]:
@@ -100,10 +99,11 @@ def support_points(cones: WrenchCones, u: Float[Array, "m 6"]) -> Float[Array, "
 def pair_closure(
     points: Float[Array, "*n 2 3"], normals: Float[Array, "*n 2 3"], *, friction: float
 ) -> Bool[Array, "*n"]:
-    """Whether two soft contacts (torsion > 0) hold by force closure.
+    """Whether the line between two contacts lies strictly inside both friction cones.
 
-    They do exactly if the line between them lies strictly inside both friction cones
-    (Nguyen, "Constructing force-closure grasps", 1988).
+    If it does, soft contacts (torsion > 0) hold by force closure (Nguyen, "Constructing
+    force-closure grasps", 1988). If not they seldom do: torsion about normals that are not
+    parallel can balance forces off the line, where it is large for the contacts' distance.
     """
     line = points[..., 1, :] - points[..., 0, :]
     length = np.linalg.norm(line, axis=-1)
@@ -112,8 +112,7 @@ def pair_closure(
         sign * np.einsum("...j,...j->...", line, normals[..., i, :]) > cosine * length
         for i, sign in ((0, 1.0), (1, -1.0))
     ]
-    both: Array = inside[0] & inside[1] & (friction > 0)
-    return both
+    return np.asarray(inside[0] & inside[1] & (friction > 0))
 
 
 def check_contacts(
