@@ -223,7 +223,8 @@ def _annotate(task: _Task) -> _Outcome:
         if len(failures) == config.scenes:
             raise SceneError(f"none of the {config.scenes} scenes could be annotated")
         with costs.stage("write"):
-            writer.close(failures=failures, cost=costs.as_json())
+            writer.close(failures=failures)
+        writer.write_cost(costs.as_json())
     except StorageError:
         raise
     except Exception as error:

@@ -89,12 +89,11 @@ class ObjectWriter:
         """Grasps written so far."""
         return sum(scene["grasps"] for scene in self._scenes)
 
-    def close(self, *, failures: Sequence[Failure], cost: Mapping[str, Any]) -> None:
-        """Write what belongs to the whole object; the folder is complete after this.
+    def close(self, *, failures: Sequence[Failure]) -> None:
+        """Write what belongs to the whole object; all but its cost is complete after this.
 
         Args:
             failures: Scenes of this object that were not produced.
-            cost: Seconds by stage.
         """
         obj, folder = self._object, self._folder
         with writing(folder):
@@ -102,10 +101,14 @@ class ObjectWriter:
             write_npz(folder / schema.HULLS_FILE, _hull_arrays(obj))
             write_npz(folder / schema.SCENES_FILE, self._scene_arrays())
             self._merge_spools()
-            write_text(folder / schema.COST_FILE, json_text(cost))
             described = describe(obj, scenes=self._scenes, failures=failures)
             write_text(folder / schema.OBJECT_FILE, json_text(described))
-            sync_folder(folder)
+
+    def write_cost(self, cost: Mapping[str, Any]) -> None:
+        """Write seconds by stage, the last file: the folder is complete after this."""
+        with writing(self._folder):
+            write_text(self._folder / schema.COST_FILE, json_text(cost))
+            sync_folder(self._folder)
 
     def _scene_arrays(self) -> dict[str, Array]:
         views = self._images
