@@ -21,6 +21,8 @@ import numpy as np
 
 MAX_FACES = 2**20  # far above what CoACD finishes; guards the pipe against absurd input
 
+Numbers = np.ndarray[Any, np.dtype[Any]]
+
 
 class CoacdFailure(Exception):  # noqa: N818 - the outcome of an attempt, handled by the caller
     """CoACD crashed, ran out of time or returned nothing; the message says which."""
@@ -39,13 +41,13 @@ class CoacdConfig:
 
 
 def run_coacd(
-    vertices: np.ndarray[Any, Any],
-    faces: np.ndarray[Any, Any],
+    vertices: Numbers,
+    faces: Numbers,
     *,
     threshold: float,
     seconds: float,
     config: CoacdConfig = CoacdConfig(),
-) -> tuple[np.ndarray[Any, Any], ...]:
+) -> tuple[Numbers, ...]:
     """Split a closed surface into nearly convex parts.
 
     Args:
@@ -96,9 +98,7 @@ def run_coacd(
     return parts
 
 
-def _decompose(
-    vertices: np.ndarray[Any, Any], faces: np.ndarray[Any, Any], options: Mapping[str, Any]
-) -> list[np.ndarray[Any, Any]]:
+def _decompose(vertices: Numbers, faces: Numbers, options: Mapping[str, Any]) -> list[Numbers]:
     import coacd
 
     coacd.set_log_level("off")

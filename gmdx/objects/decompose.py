@@ -10,7 +10,7 @@ bisection on the measured fidelity, so the judge is the surface itself, not CoAC
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import manifold3d
@@ -27,7 +27,14 @@ from gmdx.objects.fidelity import (
     SurfaceIndex,
     measure_fidelity,
 )
-from gmdx.objects.hulls import HullNode, grow_hull, hull_node, merge_sequence, simplify_hull
+from gmdx.objects.hulls import (
+    HullNode,
+    grow_hull,
+    hull_node,
+    merge_sequence,
+    simplify_hull,
+    trim_hulls,
+)
 
 log = logging.getLogger("gmdx")
 
@@ -50,10 +57,11 @@ class DecomposeConfig:
         Attempt(1.5e-3, 25.0),
         Attempt(1.0e-3, 30.0),
     )
-    max_hulls: int = 64
+    max_hulls: int = 96
     max_vertices: int = 64  # of one hull
     vertex_tolerance: float = 2e-4  # m, by which a vertex left out of a hull may stick out
     overlap: float = 2e-5  # m, growth of each of several hulls, so that no slit is left between
+    max_trim: float = 1.5e-4  # m, by which a solid's outer facets may be moved in for its volume
     min_thickness: float = 1e-5  # m, thinner parts are dropped
     headroom: float = 0.95  # share of the bounds that the search uses
     max_faces: int = 3000  # above this many triangles CoACD sees a simplified copy
@@ -76,6 +84,11 @@ class _Candidate:
     hulls: tuple[Float[Array, "_ 3"], ...]
     fidelity: Fidelity
     strain: float  # the worst of the measures, each as a share of its bound
+    trim: float = 0.0  # m, by which outer facets were moved in
+
+    def distance_strain(self, bounds: FidelityConfig) -> float:
+        """The worse of the two distances as a share of its bound."""
+        return max(self.fidelity.to_surface.p95, self.fidelity.from_surface.p95) / bounds.distance
 
     def excess(self, headroom: float) -> float:
         """By how much the strain is above the headroom; 0 where the search is content."""
@@ -159,7 +172,8 @@ class _Task:
                 "repair it to a closed surface that faces outward"
             )
         self.hull = hull
-        self.thickness = 2 * self.volume / float(mesh.area)
+        self.area = float(mesh.area)
+        self.thickness = 2 * self.volume / self.area
         self.fill = self.volume / hull.volume
         self.shell = self.thickness <= config.shell_thickness and self.fill <= config.shell_fill
         fidelity = config.fidelity
@@ -196,7 +210,7 @@ class _Task:
 
     def single(self) -> _Candidate:
         """The convex hull alone."""
-        return self._judge("convex hull", [self._simple(self.hull)])
+        return self._trimmed(self._judge("convex hull", [self._simple(self.hull)]))
 
     def merged(self, parts: tuple[HullNode, ...], method: str) -> _Candidate:
         """The fewest hulls within bounds, or the closest that the hull limit allows."""
@@ -207,7 +221,7 @@ class _Task:
             for i in sequence.after(merges):
                 if i not in ready:
                     ready[i] = grow_hull(self._simple(sequence.nodes[i]), self.config.overlap)
-            return self._judge(method, [ready[i] for i in sequence.after(merges)])
+            return self._trimmed(self._judge(method, [ready[i] for i in sequence.after(merges)]))
 
         def content(candidate: _Candidate) -> bool:
             return candidate.excess(self.config.headroom) == 0
@@ -224,6 +238,24 @@ class _Task:
                 high = middle - 1
         return best
 
+    def _trimmed(self, candidate: _Candidate) -> _Candidate:
+        """The same with outer facets moved in, where only that brings the volume in bounds.
+
+        Hulls fill concavities, so their union is too large even where the surface is near.
+        """
+        ratio, bounds = candidate.fidelity.volume_ratio, self.config.fidelity
+        over = ratio - 1 - self.config.headroom * bounds.volume
+        if self.shell or over <= 0 or candidate.distance_strain(bounds) > self.config.headroom:
+            return candidate
+        depth = (over + 0.1 * bounds.volume) * self.volume / self.area
+        if depth > self.config.max_trim:
+            return candidate
+        hulls = trim_hulls(candidate.hulls, depth, probe=self.config.overlap)
+        if any(hull_node(h, thickness=self.config.min_thickness) is None for h in hulls):
+            return candidate
+        trimmed = replace(self._judge(candidate.method, hulls), trim=depth)
+        return min(candidate, trimmed, key=lambda c: c.strain)
+
     def _simple(self, node: HullNode) -> Float[Array, "_ 3"]:
         return simplify_hull(
             node,
@@ -234,10 +266,10 @@ class _Task:
     def _judge(self, method: str, hulls: Sequence[Float[Array, "_ 3"]]) -> _Candidate:
         bounds = self.config.fidelity
         fidelity = measure_fidelity(hulls, self.surface, self.volume, config=bounds)
-        worst = max(fidelity.to_surface.p95, fidelity.from_surface.p95) / bounds.distance
-        if not self.shell:
-            worst = max(worst, abs(fidelity.volume_ratio - 1) / bounds.volume)
-        return _Candidate(method, tuple(hulls), fidelity, worst)
+        strain = abs(fidelity.volume_ratio - 1) / bounds.volume
+        candidate = _Candidate(method, tuple(hulls), fidelity, strain)
+        distance = candidate.distance_strain(bounds)
+        return replace(candidate, strain=distance if self.shell else max(strain, distance))
 
     def report(self, best: _Candidate) -> dict[str, Any]:
         """What was made and how close it is, JSON-able."""
@@ -259,6 +291,7 @@ class _Task:
             },
             "within_bounds": best.strain <= 1,
             "miss": _round(max(0.0, best.strain - 1)),  # share of the bound that is missed most
+            "trim_mm": _round(best.trim * 1e3),
             "simplified_faces": len(self.coarse_faces),
             "simplified_deviation_mm": _round(self.deviation * 1e3),
         }

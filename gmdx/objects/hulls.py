@@ -2,6 +2,7 @@
 
 import heapq
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,22 +96,50 @@ def simplify_hull(
     return grown
 
 
-def grow_hull(points: Float[Array, "n 3"], margin: float) -> Float[Array, "n 3"]:
-    """Move every facet of a convex hull outward by about `margin` m, keeping its vertices.
+def grow_hull(
+    points: Float[Array, "n 3"], margin: float | Float[Array, "f"]
+) -> Float[Array, "n 3"]:
+    """Move the facets of a convex hull outward by about `margin` m, keeping its vertices.
 
     Each vertex moves by the least-squares solution of n . d = margin over its facets'
     normals n, lightly damped so that needle-sharp corners do not fly off.
+
+    Args:
+        points: The vertices.
+        margin: One distance, or one for each of scipy's (triangular) facets, m.
     """
     hull = ConvexHull(points)
     normals = hull.equations[:, :3]
     corner, normal = hull.simplices.ravel(), np.repeat(normals, 3, axis=0)
+    wanted = np.repeat(np.broadcast_to(margin, len(normals)), 3)
     matrix = np.zeros((len(points), 3, 3))
     right = np.zeros((len(points), 3))
     np.add.at(matrix, corner, normal[:, :, None] * normal[:, None, :])
-    np.add.at(right, corner, normal)
+    np.add.at(right, corner, wanted[:, None] * normal)
     step = np.linalg.solve(matrix + 0.05 * np.eye(3), right[:, :, None])[:, :, 0]
-    moved: Array = (np.asarray(points) + margin * step)[hull.vertices]
+    moved: Array = points + step
     return moved
+
+
+def trim_hulls(
+    hulls: Sequence[Float[Array, "_ 3"]], depth: float, *, probe: float
+) -> list[Float[Array, "_ 3"]]:
+    """Move the outer facets of several hulls inward by about `depth` m.
+
+    A facet is an inner one, and stays, where the point `probe` m outside its centre lies
+    in another hull; so hulls that overlap keep overlapping, and only their union shrinks.
+    """
+    built = [ConvexHull(points) for points in hulls]
+    trimmed = []
+    for i, (points, hull) in enumerate(zip(hulls, built, strict=True)):
+        outside = points[hull.simplices].mean(axis=1) + probe * hull.equations[:, :3]
+        inner = np.zeros(len(outside), bool)
+        for j, other in enumerate(built):
+            if j != i:
+                above = outside @ other.equations[:, :3].T + other.equations[:, 3]
+                inner |= above.max(axis=1) <= 0
+        trimmed.append(grow_hull(points, np.where(inner, 0.0, -depth)))
+    return trimmed
 
 
 def merge_sequence(hulls: tuple[HullNode, ...], *, gap: float) -> MergeSequence:
