@@ -40,8 +40,8 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     if not data.strip():
         raise MeshError(f"{path}: the file is empty")
     vertices, faces = _parse(path, kind, data)
-    _refuse_truncated(path, kind, data, vertices, faces)
     check_triangles(str(path), vertices, faces)
+    _refuse_truncated(path, kind, data, vertices, faces)
     return as_trimesh(vertices, faces)
 
 
@@ -61,7 +61,7 @@ def check_triangles(name: str, vertices: Float[Array, "v 3"], faces: Int[Array, 
         raise MeshError(f"{name}: no triangle in it (empty, a point cloud, or not of this format)")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshError(f"{name}: faces refer to vertices that do not exist; the file is damaged")
-    used = vertices[np.unique(faces)]
+    used = vertices[used_vertices(faces)]
     bad = int((~np.isfinite(used)).any(axis=1).sum())
     if bad:
         raise MeshError(f"{name}: {bad} of {len(used)} vertices are NaN or infinite")
@@ -78,6 +78,11 @@ def check_triangles(name: str, vertices: Float[Array, "v 3"], faces: Int[Array, 
         raise MeshError(f"{name}: all vertices lie in one plane, so it has no volume")
 
 
+def used_vertices(faces: Int[Array, "f 3"]) -> Int[Array, "u"]:
+    """Indices of the vertices that belong to a face, ascending."""
+    return np.flatnonzero(np.bincount(faces.ravel()))
+
+
 def merge_vertices(
     vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, tolerance: float
 ) -> tuple[Float[Array, "w 3"], Int[Array, "f 3"]]:
@@ -85,13 +90,14 @@ def merge_vertices(
 
     Exporters split vertices along texture seams and between smoothing groups.
     """
-    used, corner = np.unique(faces, return_inverse=True)
+    used = used_vertices(faces)
+    corner = np.searchsorted(used, faces)
     points, same = np.unique(vertices[used], axis=0, return_inverse=True)
     pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
-    return points[first], label[same.ravel()][corner.ravel()].reshape(-1, 3).astype(np.int64)
+    return points[first], label[same.ravel()][corner].astype(np.int64)
 
 
 def edge_counts(faces: Int[Array, "f 3"]) -> Int[Array, "f 3"]:
@@ -110,7 +116,8 @@ def is_closed(faces: Int[Array, "f 3"]) -> bool:
 def is_consistent(faces: Int[Array, "f 3"]) -> bool:
     """Whether every edge of a closed surface is run through once in each direction."""
     edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    return len(np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1])) == len(edges)
+    key = np.sort(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1])
+    return bool((key[1:] != key[:-1]).all())
 
 
 def neighbours(faces: Int[Array, "f 3"]) -> tuple[Int[Array, "e 2"], Bool[Array, "e"]]:
@@ -170,7 +177,7 @@ def _refuse_truncated(path: Path, kind: str, data: bytes, vertices: Array, faces
     if kind == "obj" and not data.endswith(b"\n"):
         lines = data.splitlines()
         written = {tuple(line.split()[1:4]) for line in lines if line[:2] in (b"v ", b"v\t")}
-        used = len(np.unique(vertices[np.unique(faces)], axis=0))
+        used = len(np.unique(vertices[used_vertices(faces)], axis=0))
         if used < 0.99 * len(written):
             raise MeshError(
                 f"{path}: ends in the middle of a line, and only {used} of {len(written)} vertices "

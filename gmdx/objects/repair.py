@@ -17,10 +17,11 @@ from gmdx.objects.mesh import (
     is_consistent,
     merge_vertices,
     patches,
+    used_vertices,
 )
 from gmdx.objects.simplify import Simplified, simplify_closed, simplify_open
-from gmdx.objects.solid import from_manifold, thicken, to_manifold
-from gmdx.objects.winding import consistent_faces, misfit, signed_volumes, winding_number
+from gmdx.objects.solid import from_manifold, misfit, thicken, to_manifold
+from gmdx.objects.winding import consistent_faces, signed_volumes, winding_number
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
     config = RepairConfig() if config is None else config
     work = _Work(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64), [])
     check_triangles("mesh", work.vertices, work.faces)
-    diagonal = _diagonal(work.vertices[np.unique(work.faces)])
+    diagonal = _diagonal(work.vertices[used_vertices(work.faces)])
     _clean(work, tolerance=config.merge * diagonal)
     check_triangles("mesh after merging equal vertices", work.vertices, work.faces)
     watertight_source = is_closed(work.faces)
@@ -130,7 +131,7 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
 
 def _clean(work: _Work, *, tolerance: float) -> None:
     """Merge vertices; drop faces without area or that are there twice."""
-    before = len(np.unique(work.faces))
+    before = len(used_vertices(work.faces))
     work.vertices, work.faces = merge_vertices(work.vertices, work.faces, tolerance=tolerance)
     if len(work.vertices) != before:
         work.done("merge vertices", before=before, after=len(work.vertices))
@@ -225,8 +226,8 @@ def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:
     if wrong > config.misfit:
         work.done("found self-intersection", area_share=wrong)
         return None
-    used, compact = np.unique(faces, return_inverse=True)
-    work.vertices, work.faces = vertices[used], compact.reshape(-1, 3)
+    used = used_vertices(faces)
+    work.vertices, work.faces = vertices[used], np.searchsorted(used, faces)
     work.steps.extend(steps)
     return wrong
 

@@ -9,8 +9,7 @@ from gmdx.arrays import Array, Float, Int
 from gmdx.errors import MeshError
 from gmdx.objects.fidelity import SurfaceIndex, surface_samples
 from gmdx.objects.mesh import is_closed, is_consistent
-from gmdx.objects.solid import from_manifold, to_manifold
-from gmdx.objects.winding import misfit
+from gmdx.objects.solid import from_manifold, misfit, to_manifold
 from gmdx.rng import generator
 
 _SAMPLES = 5_000  # points at which the deviation is measured

@@ -5,9 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.objects.fidelity import surface_samples
 from gmdx.objects.mesh import neighbours
-from gmdx.rng import generator
 
 _CHUNK = 1_000_000  # solid angles computed at once, for bounded memory
 
@@ -64,25 +62,3 @@ def winding_number(
         )
         result[start : start + step] = np.arctan2(determinant, divisor).sum(axis=1) / (2 * np.pi)
     return result
-
-
-def misfit(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, evaluations: int = 1_000_000
-) -> float:
-    """Share of a closed surface's area that does not part outside (0) from inside (1).
-
-    Where a surface passes through itself or through another part, or is inside out, the winding
-    numbers just off it are others than 0 and 1. Estimated at 50 to 400 points.
-    """
-    triangles = vertices[faces]
-    n = int(np.clip(evaluations / (2 * len(faces)), 50, 400))
-    points, owner = surface_samples(triangles, n, generator(0, "misfit"))
-    a, b, c = np.moveaxis(triangles[owner], 1, 0)
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-    offset = 1e-6 * float(np.linalg.norm(np.ptp(vertices, axis=0))) * normal
-    outside = winding_number(points + offset, triangles)
-    inside = winding_number(points - offset, triangles)
-    wrong: Array = (np.abs(outside) > 0.25) | (np.abs(inside - 1.0) > 0.25)
-    return float(wrong.mean())

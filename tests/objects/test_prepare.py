@@ -71,7 +71,7 @@ def test_the_footprint_is_scaled_down_in_every_likely_pose(tmp_path: Path) -> No
 
 
 def test_nothing_is_scaled_up(tmp_path: Path) -> None:
-    path = write(trimesh.creation.icosphere(radius=0.01), tmp_path / "ball.stl")
+    path = write(trimesh.creation.box([0.01, 0.02, 0.01]), tmp_path / "small.stl")
     assert load_object(path, cache=None).scale == 1.0
 
 
@@ -87,7 +87,9 @@ def test_millimetres_are_scaled_and_noted(tmp_path: Path) -> None:
 
 
 def test_scaling_the_source_changes_only_the_scale(tmp_path: Path) -> None:
-    mesh = trimesh.creation.capsule(0.2, 0.05)
+    mesh = trimesh.convex.convex_hull(
+        np.random.default_rng(0).uniform(-1, 1, (14, 3)) * [0.05, 0.06, 0.2]
+    )
     one = load_object(write(mesh, tmp_path / "a.ply"), cache=None)
     mesh.apply_scale(4.0)
     other = load_object(write(mesh, tmp_path / "b.ply"), cache=None)

@@ -94,7 +94,7 @@ def test_holes_that_touch_at_a_vertex_are_filled() -> None:
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_an_open_bowl_becomes_a_thin_shell(reverse: bool) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=4)
+    ball = trimesh.creation.icosphere(subdivisions=3)
     faces = np.asarray(ball.faces)[ball.triangles_center[:, 2] < 0]
     bowl = as_trimesh(ball.vertices, faces[:, ::-1] if reverse else faces)
     repaired = repair(bowl)
@@ -227,7 +227,7 @@ def test_whatever_is_missing_the_result_is_a_solid(seed: int) -> None:
 
 
 def test_repair_does_not_depend_on_place_turn_or_unit() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball = trimesh.creation.icosphere(subdivisions=2)
     bowl = as_trimesh(ball.vertices, np.asarray(ball.faces)[ball.triangles_center[:, 2] < 0.2])
     reference = repair(bowl).mesh.volume
     moved = bowl.copy()
