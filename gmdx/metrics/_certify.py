@@ -19,8 +19,8 @@ NEAR_ZERO = 1e-8  # of the unit force: bounds this near to each other agree, wha
 _FLAT = 1e-11  # relative width below which the contacts span fewer than six dimensions
 _STARTS = 6
 _SHARE = 0.004  # of the balancing wrench: contacts that bear less stay out of the relaxation
-_MOST_MEMBERS = 7  # contacts in the relaxation: its cost grows faster than their number
-_MOST_PAIRS = 12
+_MOST_MEMBERS = 10  # contacts in the relaxation
+_MOST_PAIRS = 12  # products of contacts in the relaxation: its cost grows faster than their number
 _FINE = 3e-3  # relative gap below which products of more pairs are cheaper than the polytope
 _EXACT = 1e-3  # relative gap below which the upper bound is made exact
 
@@ -52,9 +52,9 @@ def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
     """Bounds of epsilon by the cheapest route that proves them.
 
     Two contacts: closure by Nguyen's test or by projection, then one semidefinite relaxation,
-    exact on every pair seen so far. More contacts: a local search, the relaxation over the contacts that
-    bear the worst wrench (fewer contacts make K smaller, so the bound holds for all), and the
-    inner polytope where that is not enough.
+    exact on every pair seen so far. More contacts: a local search, the relaxation over the
+    contacts that bear the worst wrench (fewer contacts make K smaller, so the bound holds for
+    all), and the inner polytope where that is not enough.
 
     Args:
         contacts: The grasp.
@@ -123,8 +123,8 @@ def _several(contacts: ContactSet, signed: bool) -> Bounds:
             break
         if pairs not in tried:
             latest = relaxation_bound(part, pairs, transposed=False, tol=0.1 * rtol)
-            bound = _better(bound, latest)
-            u = _lowered(contacts, latest, u)
+            bound = LowerBound(max(bound.value, latest.value), found.directions)
+            u = _lowered(contacts, latest, u) if rtol <= _FINE else u
         tried.add(pairs)
         if rtol > _FINE or _enough(contacts, bound.value, u):
             break

@@ -16,7 +16,7 @@ _LOG = logging.getLogger("gmdx")
 _STARTS = 12  # directions of the first polytope, besides the guesses and the axes
 _GROWTH = 6  # most points a round: facets, and so time, grow much faster than points
 _APART = 0.9998  # cosine above which two facets are the same place
-_FOLD = 1e-9  # how far a vertex may stand out of a facet's plane, relative to the hull
+_FOLD = 1e-9  # how far a vertex may stand out of its neighbour's plane, relative to the hull
 
 
 @dataclass(frozen=True)
@@ -83,14 +83,16 @@ def polytope_bounds(
     except QhullError as error:
         _LOG.info("epsilon: Qhull gave up: %s", str(error).splitlines()[0])
         return best
-    if (
-        not _closed(hull.simplices, hull.neighbors)
-        or _fold(hull, normals, offsets, vertices) > _FOLD
-    ):
-        _LOG.info("epsilon: Qhull's facets do not bound a convex body: no lower bound from them")
-        return best
+    opposite = _across(hull.simplices, hull.neighbors)
     size = float(np.abs(vertices).max())
-    lower = float(offsets.min()) - (_fold(hull, normals, offsets, vertices) + 1e-13) * size
+    if opposite is None:
+        _LOG.info("epsilon: Qhull's facets have a boundary: no lower bound from them")
+        return best
+    out = np.einsum("fvj,fj->fv", vertices[opposite], normals).max(axis=1) - offsets
+    if out.max() > _FOLD * size:
+        _LOG.info("epsilon: Qhull's facets fold over each other: no lower bound from them")
+        return best
+    lower = float(offsets.min()) - max(float(out.max()), 0.0) - 1e-13 * size
     return PolytopeBounds(lower, best.upper, best.direction)
 
 
@@ -132,32 +134,23 @@ def _spread(normals: Float[Array, "m 6"]) -> Int[Array, "p"]:
     return np.array(chosen)
 
 
-def _closed(simplices: Int[Array, "f 6"], neighbors: Int[Array, "f 6"]) -> bool:
-    """Whether every ridge joins exactly two facets, so that the facets have no boundary."""
+def _across(simplices: Int[Array, "f 6"], neighbors: Int[Array, "f 6"]) -> Array | None:
+    """The vertex beyond each facet's ridges, (f, 6), or None unless every ridge joins two facets.
+
+    Facets without a boundary, with 0 inside all of their planes and the vertex beyond each
+    ridge inside too, are seen from 0 in every direction: they enclose a ball of their least
+    offset. This does not rely on how they were found.
+    """
     if (neighbors < 0).any():
-        return False
-    names = generator(0, "epsilon", "names").integers(1, 2**62, simplices.max() + 1, dtype=np.int64)
-    names = names[simplices]
-    with np.errstate(over="ignore"):
-        ridges = names.sum(axis=1, keepdims=True) - names  # opposite each vertex
-    facet = np.arange(len(simplices))
-    returned = (neighbors[neighbors] == facet[:, None, None]) & (
+        return None
+    names = generator(0, "epsilon", "names").integers(1, 2**40, simplices.max() + 1)[simplices]
+    ridges = names.sum(axis=1, keepdims=True) - names  # opposite each vertex
+    returned = (neighbors[neighbors] == np.arange(len(simplices))[:, None, None]) & (
         ridges[neighbors] == ridges[:, :, None]
     )
-    return bool(returned.any(axis=2).all())
-
-
-def _fold(
-    hull: ConvexHull,
-    normals: Float[Array, "f 6"],
-    offsets: Float[Array, "f"],
-    vertices: Float[Array, "p 6"],
-) -> float:
-    """How far any vertex stands out of any facet's plane, relative to the hull's size.
-
-    Facets without a boundary that all support the same points are the whole boundary of their
-    convex hull.
-    """
-    corners = vertices[np.unique(hull.simplices)]
-    out = (normals @ corners.T).max(axis=1) - offsets
-    return float(out.max() / np.abs(corners).max())
+    if not returned.any(axis=2).all():
+        return None
+    across: Array = np.take_along_axis(
+        simplices[neighbors], returned.argmax(axis=2)[..., None], axis=2
+    )[..., 0]
+    return across
