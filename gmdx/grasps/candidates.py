@@ -7,25 +7,11 @@ import numpy as np
 from gmdx_kernels.closing_lines import closing_lines
 
 from gmdx.arrays import Array, Float, Int
+from gmdx.grasps.surface import Surface, random_points
 
 _BLOCK = 128  # candidates looked at together: only a matter of speed
 _ONE_LINE = np.zeros((1, 2))
 _SKIN = 1e-6  # m, in front of a surface point: where a line through it starts
-
-
-@dataclass(frozen=True)
-class Surface:
-    """An object's surface at rest, in the world."""
-
-    vertices: Float[Array, "v 3"]  # m
-    faces: Int[Array, "f 3"]  # outward, counter-clockwise
-    normals: Float[Array, "f 3"]  # unit, outward
-    areas: Float[Array, "f"]  # m^2
-
-    @property
-    def top(self) -> float:
-        """Height of the highest point, m."""
-        return float(self.vertices[:, 2].max())
 
 
 @dataclass(frozen=True)
@@ -38,29 +24,6 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.number)
-
-
-def surface_of(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Surface:
-    """Normals and areas of a closed surface."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    cross = np.cross(b - a, c - a)
-    twice = np.linalg.norm(cross, axis=1)
-    normals = cross / np.maximum(twice, np.finfo(float).tiny)[:, None]
-    return Surface(vertices, faces, normals, 0.5 * twice)
-
-
-def random_points(
-    surface: Surface, n: int, rng: np.random.Generator
-) -> tuple[Float[Array, "n 3"], Int[Array, "n"]]:
-    """Points uniform over the surface, m, and the triangles they lie on."""
-    cumulative = np.cumsum(surface.areas)
-    face = np.searchsorted(cumulative, rng.random(n) * cumulative[-1], side="right")
-    face = np.minimum(face, len(cumulative) - 1)
-    u, v = rng.random((2, n))
-    root = np.sqrt(u)
-    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-    points = np.einsum("nk,nkd->nd", weights, surface.vertices[surface.faces[face]])
-    return points, face
 
 
 def dense(
@@ -118,9 +81,10 @@ def antipodal(
         friction: Sliding coefficient of the pads on the object.
         stroke: Largest distance of the two points, m.
     """
-    first, face = random_points(surface, n, rng)
+    drawn = random_points(surface, n, rng)
+    first = drawn.points
     turn, reach = rng.uniform(-1, 1, n), stroke * rng.random(n)
-    inward = -surface.normals[face]
+    inward = -surface.normals[drawn.face]
     level = np.hypot(inward[:, 0], inward[:, 1])
     cone = 1.0 / np.hypot(1.0, friction)  # cosine of the friction cone's half angle
     with np.errstate(divide="ignore"):

@@ -13,18 +13,12 @@ import numpy as np
 
 from gmdx.arrays import Array, Float
 from gmdx.errors import ConfigError, GraspError, UsageError
-from gmdx.grasps.candidates import (
-    Candidates,
-    Surface,
-    antipodal,
-    dense,
-    random_points,
-    surface_of,
-)
+from gmdx.grasps.candidates import Candidates, antipodal, dense
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import LineConfig, closing_contacts
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.hand import HandShape, hand_shape
+from gmdx.grasps.surface import Surface, random_points, surface_of
 from gmdx.rng import generator
 from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
 from gmdx.scenes.gripper import Gripper, load_gripper
@@ -142,7 +136,7 @@ def _workplace(
 ) -> _Workplace:
     model = grasp_model(scene.object, gripper, PhysicsConfig())
     surface = surface_of(scene.to_world(scene.object.vertices), scene.object.faces)
-    points, _ = random_points(surface, config.surface_points, rng)
+    drawn = random_points(surface, config.surface_points, rng)
     return _Workplace(
         scene=scene,
         gripper=gripper,
@@ -150,7 +144,7 @@ def _workplace(
         model=model,
         hand=hand_shape(model),
         surface=surface,
-        points=np.concatenate([surface.vertices, points]),
+        points=np.concatenate([surface.vertices, drawn.points]),
         clearance=rng.uniform(*config.clearance, config.candidates),
     )
 

@@ -7,10 +7,11 @@ import pytest
 import trimesh
 
 from gmdx.errors import ConfigError, GraspError, UsageError
-from gmdx.grasps.candidates import dense, random_points, surface_of
+from gmdx.grasps.candidates import dense
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import closing_contacts
 from gmdx.grasps.sample import SAMPLERS, SampleConfig, sample_grasps
+from gmdx.grasps.surface import random_points, surface_of
 from gmdx.scenes.gripper import load_gripper, shipped_grippers
 from gmdx.scenes.scene import Scene
 from tests.support import box_object, cylinder_object, mesh_object, resting_scene, sphere_object
@@ -153,7 +154,8 @@ def test_antipodal_finds_the_wall_of_a_tube_and_the_whole_of_it() -> None:
 def test_random_points_are_uniform_over_the_surface() -> None:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
     surface = surface_of(np.array(mesh.vertices), np.array(mesh.faces))
-    points, face = random_points(surface, 20000, np.random.default_rng(0))
+    drawn = random_points(surface, 20000, np.random.default_rng(0))
+    points, face = drawn.points, drawn.face
     # Archimedes: heights on a sphere are uniform.
     heights = np.sort(points[:, 2]) / 0.06 + 0.5
     assert np.abs(heights - np.linspace(0, 1, 20000)).max() < 0.02
