@@ -36,7 +36,7 @@ from gmdx.objects.hulls import (
     trim_hulls,
 )
 
-log = logging.getLogger("gmdx")
+_log = logging.getLogger("gmdx")
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,11 @@ class DecomposeConfig:
 
     fidelity: FidelityConfig = field(default_factory=FidelityConfig)
     coacd: CoacdConfig = field(default_factory=CoacdConfig)
-    attempts: tuple[Attempt, ...] = (
-        Attempt(1.5e-3, 25.0),
-        Attempt(1.0e-3, 30.0),
+    attempts: tuple[Attempt, ...] = (Attempt(1.5e-3, 25.0), Attempt(1.0e-3, 25.0))
+    rescue: Attempt = Attempt(4e-3, 15.0)  # coarser, where an attempt failed
+    simple_parts: int = 10  # where CoACD finds at most so many, it searches again with care
+    careful: CoacdConfig = field(
+        default_factory=lambda: CoacdConfig(mcts_nodes=20, mcts_iterations=60, mcts_max_depth=3)
     )
     max_hulls: int = 96
     max_vertices: int = 64  # of one hull
@@ -123,32 +125,20 @@ def decompose(
     for attempt in config.attempts:
         if best.excess(config.headroom) == 0:
             break
-        entry: dict[str, Any] = {"threshold_mm": _round(attempt.threshold * 1e3)}
-        attempts.append(entry)
-        try:
-            parts = run_coacd(
-                task.coarse_vertices,
-                task.coarse_faces,
-                threshold=attempt.threshold,
-                seconds=attempt.seconds,
-                config=config.coacd,
-            )
-        except CoacdFailure as failure:
-            log.warning("CoACD at %g mm: %s", attempt.threshold * 1e3, failure)
-            entry["failure"] = str(failure)
-            continue
-        nodes = [hull_node(part, thickness=config.min_thickness) for part in parts]
-        kept = tuple(node for node in nodes if node is not None)
-        found = task.merged(kept, f"coacd {attempt.threshold * 1e3:g} mm") if kept else None
-        entry |= {"parts": len(parts), "parts_dropped": len(parts) - len(kept)}
-        if found is not None:
-            entry |= {"hulls": len(found.hulls), "strain": _round(found.strain)}
-            best = min(best, found, key=lambda c: (c.excess(config.headroom), len(c.hulls)))
-        if len(kept) > 2 * config.max_hulls:
+        found, parts = task.attempt(attempt, config.coacd, attempts)
+        best = min([best, *found], key=task.rank)
+        if 0 < parts <= config.simple_parts:
+            found, _ = task.attempt(attempt, config.careful, attempts)
+            best = min([best, *found], key=task.rank)
+        if parts == 0:  # no finer attempt will do better
+            found, _ = task.attempt(config.rescue, config.coacd, attempts)
+            best = min([best, *found], key=task.rank)
+            break
+        if parts > 3 * config.max_hulls:
             break  # the limit on hulls is what keeps it out of bounds, not CoACD's threshold
     failed = bool(attempts) and all("failure" in a for a in attempts)
     if failed:
-        log.warning("every attempt of CoACD failed; the convex hull stands in")
+        _log.warning("every attempt of CoACD failed; the convex hull stands in")
     report = task.report(best)
     report |= {
         "attempts": attempts,
@@ -164,15 +154,16 @@ class _Task:
     def __init__(self, mesh: trimesh.Trimesh, config: DecomposeConfig) -> None:
         self.config = config
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-        hull = hull_node(vertices) if len(faces) else None
-        self.volume = float(mesh.volume) if len(faces) else 0.0
-        if hull is None or not np.isfinite(self.volume) or self.volume <= 0:
+        hull = hull_node(vertices) if np.isfinite(vertices).all() else None
+        a, b, c = vertices[faces].reshape(-1, 3, 3).transpose(1, 0, 2)
+        self.volume = float((np.cross(a, b) * c).sum() / 6)
+        if hull is None or self.volume <= 0:
             raise DecompositionError(
                 f"the mesh ({len(faces)} triangles) encloses no volume ({self.volume:g} m^3); "
                 "repair it to a closed surface that faces outward"
             )
         self.hull = hull
-        self.area = float(mesh.area)
+        self.area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
         self.thickness = 2 * self.volume / self.area
         self.fill = self.volume / hull.volume
         self.shell = self.thickness <= config.shell_thickness and self.fill <= config.shell_fill
@@ -193,7 +184,7 @@ class _Task:
             )
         )
         if solid.status() != manifold3d.Error.NoError:
-            log.warning("not simplified for CoACD: %s", solid.status())
+            _log.warning("not simplified for CoACD: %s", solid.status())
             return vertices, faces, 0.0
         for tolerance in self.config.simplify_tolerances:
             coarse = solid.simplify(tolerance).to_mesh64()
@@ -207,6 +198,42 @@ class _Task:
             self.surface.distance(index.samples).max(), index.distance(self.surface.samples).max()
         )
         return coarse_vertices, coarse_faces, float(deviation)
+
+    def rank(self, candidate: _Candidate) -> tuple[float, int, float]:
+        """What is best comes first: within bounds, then few hulls, then close."""
+        hulls = len(candidate.hulls)
+        return (candidate.excess(self.config.headroom), hulls, candidate.strain)
+
+    def attempt(
+        self, attempt: Attempt, coacd: CoacdConfig, record: list[dict[str, Any]]
+    ) -> tuple[list[_Candidate], int]:
+        """Split and merge: the candidate if there is one, and how many parts CoACD made."""
+        name = f"coacd {attempt.threshold * 1e3:g} mm"
+        entry: dict[str, Any] = {
+            "threshold_mm": _round(attempt.threshold * 1e3),
+            "mcts_max_depth": coacd.mcts_max_depth,
+        }
+        record.append(entry)
+        try:
+            parts = run_coacd(
+                self.coarse_vertices,
+                self.coarse_faces,
+                threshold=attempt.threshold,
+                seconds=attempt.seconds,
+                config=coacd,
+            )
+        except CoacdFailure as failure:
+            _log.warning("%s: %s", name, failure)
+            entry["failure"] = str(failure)
+            return [], 0
+        nodes = [hull_node(part, thickness=self.config.min_thickness) for part in parts]
+        kept = tuple(node for node in nodes if node is not None)
+        entry |= {"parts": len(parts), "parts_dropped": len(parts) - len(kept)}
+        if not kept:
+            return [], len(parts)
+        found = self.merged(kept, name)
+        entry |= {"hulls": len(found.hulls), "strain": _round(found.strain)}
+        return [found], len(parts)
 
     def single(self) -> _Candidate:
         """The convex hull alone."""

@@ -164,12 +164,21 @@ def test_a_hull_too_far_off_says_by_how_much() -> None:
 
 def test_out_of_time_ends_in_the_named_fallback(caplog: pytest.LogCaptureFixture) -> None:
     mesh = trimesh.creation.torus(0.018, 0.006, major_sections=48, minor_sections=24)
-    found = decompose(mesh, config=DecomposeConfig(attempts=(Attempt(2e-5, 1.0),)))
+    hopeless = Attempt(2e-5, 1.0)
+    found = decompose(mesh, config=DecomposeConfig(attempts=(hopeless,), rescue=hopeless))
     assert found.report["fallback"] == "convex hull"
     assert "CPU time" in found.report["attempts"][0]["failure"]
     assert len(found.hulls) == 1
     assert not found.report["within_bounds"]
     assert "convex hull stands in" in caplog.text
+
+
+def test_a_coarser_attempt_comes_to_the_rescue() -> None:
+    mesh = trimesh.creation.torus(0.018, 0.006, major_sections=48, minor_sections=24)
+    found = decompose(mesh, config=DecomposeConfig(attempts=(Attempt(2e-5, 1.0),)))
+    assert found.report["fallback"] is None
+    assert len(found.report["attempts"]) == 2
+    assert not inside_any(np.zeros((1, 3)), found.hulls).any()
 
 
 def test_a_crash_of_coacd_is_a_failure_and_not_ours() -> None:
