@@ -37,8 +37,8 @@ class SampleConfig:
     candidates: int = 16384  # of a scene; sampling ends there even if fewer grasps were found
     clearance: tuple[float, float] = (0.005, 0.010)  # m, range of the room beside the open pads
     least_clearance: float = 0.003  # m, where the stroke or the object allows no more
-    table_clearance: float = 0.003  # m, between the fingertips and the table
-    least_table_clearance: float = 0.0015  # m, where half the object's height is less than that
+    table_clearance: float = 0.002  # m, between the fingertips and the table
+    least_table_clearance: float = 0.0012  # m, where half the object's height is less than that
     colliding_share: float = 0.15  # of the grasps, at most: those at which the gripper collides
     surface_points: int = 4000  # random ones that, with the vertices, decide on the opening
     lines: LineConfig = field(default_factory=LineConfig)  # find out what is between the pads

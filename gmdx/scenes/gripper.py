@@ -54,7 +54,7 @@ class Gripper:
 
     def opening(self, positions: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
         """Opening between the pads at the given joint positions, m."""
-        opening: Array = self.gap - positions @ np.array(self.signs)
+        opening: Array = self.gap - np.sum(positions * np.array(self.signs), axis=-1)
         return opening
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.geometry import quaternion_matrix, quaternion_multiply, yaw_quaternion
+from gmdx.grasps.collide import object_in_gripper
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.gripper import Gripper
@@ -59,13 +60,8 @@ def place(
     """The trials of a batch of grasps, grasp by grasp, seen from the gripper."""
     centers, angles = perturb(scene, grasps, trials=config.trials, noise=config.noise)
     center, angle = centers.reshape(-1, 3), angles.reshape(-1)
-    count = len(angle)
 
-    turn = yaw_quaternion(-angle)
-    ground = np.concatenate([center[:, :2], np.zeros((count, 1))], axis=1)
-    position = np.einsum("nij,nj->ni", quaternion_matrix(turn), scene.position - ground)
-    quaternion = quaternion_multiply(turn, np.broadcast_to(scene.quaternion, (count, 4)))
-
+    position, quaternion = object_in_gripper(scene, center, angle)
     top = max(float(scene.to_world(hull)[:, 2].max()) for hull in scene.object.hulls)
     start = np.maximum(top + 0.5 * gripper.pad_size[1], center[:, 2]) + config.clearance
     return TrialBatch(

@@ -206,15 +206,21 @@ class _Trials:
         """Push the nominal trial's object with a growing force until it slips out."""
         rows = np.flatnonzero(self.batch.nominal & (self.outcome == Outcome.SUCCESS))
         direction = np.array(self.config.push_direction)
-        strength = phase.force @ direction
-        offset = frames.from_tool(self.state[:, 1 : 1 + self.scene.model.nq]) @ direction
+
+        def along(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+            # Not `@`: BLAS may round one trial's numbers in another way than a batch's.
+            component: Array = np.einsum("...i,i->...", vectors, direction)
+            return component
+
+        strength = along(phase.force)
+        offset = along(frames.from_tool(self.state[:, 1 : 1 + self.scene.model.nq]))
 
         mass, dt = self.batch.object.mass, self.config.physics.timestep
-        last_velocity = self.state[:, 1 + self.scene.model.nq :][:, :3] @ direction
+        last_velocity = along(self.state[:, 1 + self.scene.model.nq :][:, :3])
 
         def watch(rows: Int[Array, "a"], steps: Frames, span: slice) -> Bool[Array, "a"]:
-            moved = frames.from_tool(steps.qpos) @ direction - offset[rows, None]
-            velocity = steps.qvel[..., :3] @ direction
+            moved = along(frames.from_tool(steps.qpos)) - offset[rows, None]
+            velocity = along(steps.qvel[..., :3])
             slip = velocity - steps.qvel[..., HEIGHT_QVEL] * direction[2]
             out = (slip > self.config.slip_speed) & (moved > self.config.push_distance)
             first = np.where(out.any(axis=1), out.argmax(axis=1), out.shape[1])

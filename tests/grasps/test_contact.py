@@ -18,7 +18,7 @@ from tests.support import (
     turned_quaternion,
 )
 
-GRIPPER = load_gripper()
+GRIPPER = replace(load_gripper(), pad_size=np.array([0.02, 0.02]))  # 5 mm between lines
 
 
 def _grasps(center: list[list[float]], angle: list[float], width: float = 0.08) -> PlanarGrasp:
