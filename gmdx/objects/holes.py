@@ -23,9 +23,9 @@ class FilledHoles:
 
 
 def fill_holes(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, width: float, area: float
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], *, area: float
 ) -> FilledHoles:
-    """Fill the holes that are no wider than `width` and take no more than `area` to close.
+    """Fill the holes that take no more than `area` to close.
 
     A hole is a loop of edges that belong to one face each; holes that touch at a vertex are told
     apart. No vertex is added. The new faces go round the hole against their neighbours, which
@@ -37,14 +37,13 @@ def fill_holes(
     for loop in _loops(faces):
         points = vertices[loop]
         across = float(np.linalg.norm(points[:, None] - points[None], axis=2).max())
-        if len(loop) > _LONGEST or across > width:
+        if len(loop) > _LONGEST:
             continue
         triangles = smallest_triangulation(points, forbidden=_forbidden(loop, edges))
         a, b, c = np.moveaxis(points[triangles], 1, 0)
         closing = float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
         new = loop[triangles]
-        pinched = (new[:, 0] == new[:, 1]) | (new[:, 1] == new[:, 2]) | (new[:, 2] == new[:, 0])
-        if closing <= area and not pinched.any():
+        if closing <= area:
             added.append(new)
             edges |= _edges(new)
             widest, filled = max(widest, across), filled + closing
@@ -123,8 +122,22 @@ def _loops(faces: Int[Array, "f 3"]) -> list[Int[Array, "_"]]:
             loop.append(at)
             at = following.pop(at)
         if at == first and len(loop) > 2:
-            loops.append(vertex[loop])
+            loops += _simple(vertex[loop])
     return loops
+
+
+def _simple(loop: Int[Array, "n"]) -> list[Int[Array, "_"]]:
+    """A loop cut into loops that pass each vertex once."""
+    done: list[Array] = []
+    path: list[int] = []
+    for v in loop.tolist():
+        if v in path:
+            at = path.index(v)
+            done.append(np.array(path[at:], np.int64))
+            del path[at:]
+        path.append(v)
+    done.append(np.array(path, np.int64))
+    return [part for part in done if len(part) > 2]
 
 
 def _fans(faces: Int[Array, "f 3"]) -> Int[Array, "f 3"]:

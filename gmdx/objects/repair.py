@@ -29,7 +29,6 @@ class RepairConfig:
     """Bounds of the repairs. Lengths are shares of the mesh's bounding-box diagonal."""
 
     merge: float = 1e-6  # vertices as close as this are one
-    hole_width: float = 0.3  # widest hole that is filled
     hole_area: float = 0.04  # area of a hole / surface, above which it is a hollow object's opening
     shell: float = 0.01  # thickness given to surfaces that are open on both sides
     debris: float = 5e-4  # volume of a separate part / whole, below which it is dropped
@@ -97,7 +96,7 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
         source_volume = abs(_volume(work))
     if not watertight_source:
         _drop_flaps(work, share=config.flap)
-        _fill_holes(work, width=config.hole_width * diagonal, share=config.hole_area)
+        _fill_holes(work, share=config.hole_area)
     faces, turned = consistent_faces(work.faces)
     if turned.any() and is_closed(faces) and is_consistent(faces):
         work.faces = faces
@@ -167,11 +166,11 @@ def _drop_flaps(work: _Work, *, share: float) -> None:
         )
 
 
-def _fill_holes(work: _Work, *, width: float, share: float) -> None:
+def _fill_holes(work: _Work, *, share: float) -> None:
     """Close what is missing of the surface, but not what is open by design."""
     faces, turned = consistent_faces(work.faces)
     area = float(as_trimesh(work.vertices, faces).area)
-    filled = fill_holes(work.vertices, faces, width=width, area=share * area)
+    filled = fill_holes(work.vertices, faces, area=share * area)
     if filled.holes == 0:
         return
     if turned.any():

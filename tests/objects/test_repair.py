@@ -92,6 +92,25 @@ def test_holes_that_touch_at_a_vertex_are_filled() -> None:
     assert repaired.mesh.volume == pytest.approx(ball.volume, rel=1e-2)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scan_with_lost_triangles_is_made_whole(seed: int) -> None:
+    """A ring of square section without 4 % of its triangles, long thin ones among them."""
+    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    section = [[3.0, -1.0], [4.0, -1.0], [4.0, 1.0], [3.0, 1.0]]
+    vertices = np.array([[r * np.cos(t), r * np.sin(t), z] for t in angles for r, z in section])
+    faces = []
+    for i in range(40):
+        for k in range(4):
+            a, b = 4 * i + k, 4 * i + (k + 1) % 4
+            c, d = (a + 4) % 160, (b + 4) % 160
+            faces += [[a, c, b], [b, c, d]]
+    ring = as_trimesh(vertices, np.array(faces))
+    lost = np.random.default_rng(seed).random(len(ring.faces)) < 0.04
+    repaired = repair(as_trimesh(vertices, np.asarray(ring.faces)[~lost]))
+    assert_proper(repaired)
+    assert repaired.mesh.volume == pytest.approx(abs(ring.volume), rel=0.01)
+
+
 @pytest.mark.parametrize("reverse", [False, True])
 def test_an_open_bowl_becomes_a_thin_shell(reverse: bool) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
