@@ -11,7 +11,7 @@ from gmdx.metrics._local import Minima, descend, starting_directions
 from gmdx.metrics._polish import polish
 from gmdx.metrics._projection import project_origin
 from gmdx.metrics._relaxation import LowerBound, Pairs, relaxation_bound
-from gmdx.metrics.wrench import WrenchCones, pair_closure, support
+from gmdx.metrics.wrench import WrenchCones, pair_closure, principal_axes, support
 
 Method = Literal["relaxation", "polytope", "projection", "flat", "no closure", "no contact"]
 
@@ -60,10 +60,8 @@ def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
         contacts: The grasp.
         signed: Whether to measure how far a grasp without closure is from it.
     """
-    rows = np.concatenate([contacts.cones.columns, np.zeros((2, 6))])  # at least six
-    _, width, axes = np.linalg.svd(rows, full_matrices=False)
-    if width[-1] <= _FLAT * width[0]:
-        return _flat(contacts, axes[-1], signed)
+    if not _spans(contacts.cones):
+        return _flat(contacts, principal_axes(contacts.cones).axes[:, 0], signed)
     if len(contacts.points) == 2:
         closed = pair_closure(contacts.points, contacts.normals, friction=contacts.friction)
         if not closed and project_origin(contacts.cones).separation > 0:
@@ -113,7 +111,7 @@ def _several(contacts: ContactSet, signed: bool) -> Bounds:
     u = found.directions[0]
     bound = LowerBound(0.0, found.directions)
     if contacts.friction == 0 and contacts.torsion == 0:
-        return _finish(contacts, bound, u)  # K is a polytope
+        return _finish(contacts, bound, polish(cones, u))  # K is a polytope
     members = np.flatnonzero(found.shares[0] > _SHARE)
     tried: set[Pairs] = set()
     for choose in (_nearest_pairs, _opposed_pairs, _all_pairs):
@@ -128,14 +126,14 @@ def _several(contacts: ContactSet, signed: bool) -> Bounds:
         tried.add(pairs)
         if rtol > _FINE or _enough(contacts, bound.value, u):
             break
+    if rtol <= _EXACT or not _enough(contacts, bound.value, u):
+        u = polish(cones, u)
     return _finish(contacts, bound, u)
 
 
 def _finish(contacts: ContactSet, bound: LowerBound, u: Float[Array, "6"]) -> Bounds:
     """The bounds, by the polytope where the relaxation was not enough."""
     cones = contacts.cones
-    if contacts.rtol <= _EXACT or not _enough(contacts, bound.value, u):
-        u = polish(cones, u)
     upper = float(support(cones, u))
     if _enough(contacts, bound.value, u):
         return Bounds(min(bound.value, upper), upper, u, "relaxation")
@@ -183,11 +181,8 @@ def _descended(cones: WrenchCones, starts: Float[Array, "m 6"], tol: float) -> M
 
 def _spans(cones: WrenchCones) -> bool:
     """Whether the contacts span all six dimensions."""
-    rows = cones.columns
-    if len(rows) < 6:
-        return False
-    width = np.linalg.svd(rows, compute_uv=False)
-    return bool(width[-1] > _FLAT * width[0])
+    widths = principal_axes(cones).widths
+    return bool(widths[0] > _FLAT * widths[-1])
 
 
 def _all_pairs(points: Float[Array, "k 3"], normals: Float[Array, "k 3"]) -> Pairs:

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 from gmdx.arrays import Array, Float, Int
 from gmdx.metrics._local import starting_directions, unit
 from gmdx.metrics._polish import polish
-from gmdx.metrics.wrench import WrenchCones, support, support_points
+from gmdx.metrics.wrench import WrenchCones, principal_axes, support, support_points
 from gmdx.rng import generator
 
 _LOG = logging.getLogger("gmdx")
@@ -45,16 +45,15 @@ def polytope_bounds(
         most_points: Most vertices to try; what was proved by then is returned.
     """
     rng = generator(0, "epsilon", "polytope")
-    columns = cones.columns
-    width, axes = np.linalg.eigh(columns.T @ columns)
-    rounding = axes / np.sqrt(width)  # Qhull's tolerances are absolute: work where K is round
+    principal = principal_axes(cones)
+    rounding = principal.rounding  # Qhull's tolerances are absolute: work where K is round
 
     def drawn(points: Float[Array, "p 6"]) -> Float[Array, "p 6"]:
         shrunk: Array = points * (1.0 - 0.01 * rtol * rng.random((len(points), 1)))
         return shrunk
 
     starts = [guesses, starting_directions(cones, _STARTS)]
-    starts += [sign * a for a in (axes.T, unit(rounding.T)) for sign in (1.0, -1.0)]
+    starts += [sign * a for a in (principal.axes.T, unit(rounding.T)) for sign in (1.0, -1.0)]
     u = np.concatenate(starts)
     values = support(cones, u)
     best = PolytopeBounds(-np.inf, float(values.min()), u[values.argmin()])

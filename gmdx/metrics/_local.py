@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from gmdx.arrays import Array, Float
-from gmdx.metrics.wrench import WrenchCones, support
+from gmdx.metrics.wrench import WrenchCones, principal_axes, support
 from gmdx.rng import generator
 
 _LORENTZ = np.array([1.0, -1.0, -1.0, -1.0])
@@ -31,10 +31,8 @@ class Minima:
 
 def starting_directions(cones: WrenchCones, count: int) -> Float[Array, "s 6"]:
     """The weakest of a fixed set of directions that are spread evenly where K is round."""
-    columns = cones.columns
-    width, axes = np.linalg.eigh(columns.T @ columns)
-    rounding = (axes / np.sqrt(np.maximum(width, 1e-24 * width[-1]))) @ axes.T
-    u = np.concatenate([_sphere() @ rounding, axes.T])
+    principal = principal_axes(cones)
+    u = np.concatenate([_sphere() @ principal.rounding.T, principal.axes.T])
     u = unit(np.concatenate([u, -u]))
     return u[np.argsort(support(cones, u), kind="stable")[:count]]
 

@@ -13,6 +13,7 @@ _ACTIVE = (3e-3, 1e-4, 5e-2, 1e-6)  # how near to the largest an active support 
 _APEX = 0.05  # |B_i^T u| / |B_i| below which a contact may be at its apex
 _ITERATIONS = 7
 _LONGEST = 0.3  # rad, of a step
+_ALIKE = 1e-11  # relative difference of two values that are the same minimum
 _CONVERGED = 1e-7  # rad: Newton's next error is its square
 
 
@@ -32,10 +33,10 @@ def polish(cones: WrenchCones, start: Float[Array, "6"]) -> Float[Array, "6"]:
     for active, apexes in _guesses(cones, start):
         found = _stationary(cones, start, active, apexes)
         value = float(support(cones, found.direction))
-        if value <= best_value:
+        if value < best_value:
             best, best_value = found.direction, value
-            if found.admissible:
-                break
+        if found.admissible and value <= best_value + _ALIKE * abs(best_value):
+            break
     return best
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse
 
 from gmdx.arrays import Array, Float
-from gmdx.metrics.wrench import WrenchCones
+from gmdx.metrics.wrench import WrenchCones, principal_axes
 
 Pairs = tuple[tuple[int, int], ...]
 
@@ -63,10 +63,11 @@ def relaxation_bound(
         tol: Relative accuracy asked of the solver. The bound is valid whatever it is.
     """
     # In coordinates in which K is round the programme is well-posed and its proof accurate.
-    width, axes = np.linalg.eigh(cones.columns.T @ cones.columns)
-    if not width[0] > 0:
+    principal = principal_axes(cones)
+    width = principal.widths**2
+    if not principal.widths[0] > 1e-12 * principal.widths[-1]:
         return LowerBound(0.0, np.zeros((0, 6)))
-    rounding = axes / np.sqrt(width)
+    rounding = principal.rounding
     forms = _forms(cones, rounding)
     k = len(forms)
     template = _template(k, pairs, transposed)

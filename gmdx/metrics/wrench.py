@@ -61,6 +61,27 @@ def wrench_cones(
     return WrenchCones(_at(arm, normals), np.stack([*tangential, twist], axis=-2))
 
 
+@dataclass(frozen=True)
+class PrincipalAxes:
+    """Along which orthogonal directions a grasp's wrenches extend how far, the least first."""
+
+    widths: Float[Array, "6"]  # root of the sum of squares; 0 where they have no extent
+    axes: Float[Array, "6 6"]  # columns
+
+    @property
+    def rounding(self) -> Float[Array, "6 6"]:
+        """Columns u_i = axis_i / width_i: by their products with wrenches, K is round."""
+        columns: Array = self.axes / np.maximum(self.widths, 1e-12 * self.widths[-1])
+        return columns
+
+
+def principal_axes(cones: WrenchCones) -> PrincipalAxes:
+    """Principal axes of the centres and spreads of one grasp's contacts."""
+    rows = np.concatenate([cones.columns, np.zeros((2, 6))])  # at least six
+    _, widths, axes = np.linalg.svd(rows, full_matrices=False)
+    return PrincipalAxes(widths[::-1], axes[::-1].T)
+
+
 def tangents(
     normals: Float[Array, "*n 3"],
 ) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
@@ -77,7 +98,7 @@ def tangents(
 def contact_supports(cones: WrenchCones, u: Float[Array, "*m 6"]) -> Float[Array, "*m k"]:
     """h_i(u) = c_i . u + |B_i^T u|: how far each contact's wrenches reach along u."""
     slip = u @ cones.spreads.reshape(-1, 6).T
-    slip = slip.reshape(*u.shape[:-1], -1, 3)
+    slip = slip.reshape(*u.shape[:-1], len(cones.centers), 3)
     supports: Array = u @ cones.centers.T + np.sqrt(np.einsum("...k,...k->...", slip, slip))
     return supports
 

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize, nnls
+from scipy.spatial import ConvexHull
 
 from gmdx.errors import MetricError
+from gmdx.metrics._incremental import _across
 from gmdx.metrics._relaxation import relaxation_bound
 from gmdx.metrics.epsilon import epsilon, epsilon_batch
 from gmdx.metrics.wrench import wrench_cones
@@ -391,6 +393,22 @@ def test_relaxation_of_any_contacts_and_pairs_stays_below():
                 tol=10.0 ** rng.uniform(-8, -1),
             )
             assert 0 <= bound.value <= upper * (1 + 1e-9)
+
+
+def test_facets_that_do_not_close_are_noticed():
+    points = unit(np.random.default_rng(15).normal(size=(30, 6)))
+    hull = ConvexHull(points)
+    opposite = _across(hull.simplices, hull.neighbors)
+    for f in (0, 7, len(hull.simplices) - 1):
+        for i in range(6):
+            g = hull.neighbors[f, i]
+            assert set(hull.simplices[g]) - set(hull.simplices[f]) == {opposite[f, i]}
+    torn = hull.neighbors.copy()
+    torn[3, 2] = -1
+    assert _across(hull.simplices, torn) is None
+    swapped = hull.simplices.copy()
+    swapped[5, 0] = next(v for v in range(30) if v not in swapped[5])
+    assert _across(swapped, hull.neighbors) is None
 
 
 # --- laws -----------------------------------------------------------------------------
