@@ -122,9 +122,12 @@ def _limit_cpu(seconds: float) -> None:
         import resource
     except ImportError:  # not on Windows; the parent's wall clock limit remains
         return
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+    ceiling = resource.getrlimit(resource.RLIMIT_CPU)[1]
     limit = max(1, int(np.ceil(seconds)))
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+    if ceiling != resource.RLIM_INFINITY:
+        limit = min(limit, ceiling)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, ceiling))
 
 
 def _die_with(parent: int) -> None:

@@ -35,6 +35,7 @@ from gmdx.objects.hulls import (
     simplify_hull,
     trim_hulls,
 )
+from gmdx.objects.solid import from_manifold, to_manifold
 
 _log = logging.getLogger("gmdx")
 
@@ -177,21 +178,14 @@ class _Task:
         """A copy with fewer triangles for CoACD, and its largest measured deviation, m."""
         if len(faces) <= self.config.max_faces:
             return vertices, faces, 0.0
-        solid = manifold3d.Manifold(
-            manifold3d.Mesh64(
-                vert_properties=np.ascontiguousarray(vertices),
-                tri_verts=np.ascontiguousarray(faces, np.uint64),
-            )
-        )
+        solid = to_manifold(vertices, faces)
         if solid.status() != manifold3d.Error.NoError:
             _log.warning("not simplified for CoACD: %s", solid.status())
             return vertices, faces, 0.0
         for tolerance in self.config.simplify_tolerances:
-            coarse = solid.simplify(tolerance).to_mesh64()
-            if len(coarse.tri_verts) <= self.config.max_faces:
+            coarse_vertices, coarse_faces = from_manifold(solid.simplify(tolerance))
+            if len(coarse_faces) <= self.config.max_faces:
                 break
-        coarse_vertices = np.array(coarse.vert_properties[:, :3], float)
-        coarse_faces = np.array(coarse.tri_verts, np.int64)
         fidelity = self.config.fidelity
         index = SurfaceIndex(coarse_vertices, coarse_faces, n=fidelity.samples, seed=fidelity.seed)
         deviation = max(
