@@ -1,6 +1,8 @@
 """Tasks in processes of their own: a crash costs one task, and nothing outlives the caller."""
 
 import contextlib
+import logging
+import logging.handlers
 import multiprocessing
 import os
 import signal
@@ -143,7 +145,7 @@ class _Worker(Generic[TaskT, ResultT]):
             self._pipe.send(task)
 
     def receive(self) -> ResultT | Crash | _Nothing:
-        """A result, a crash, or nothing yet (the worker says that it has started)."""
+        """A result, a crash, or nothing yet (the worker has started, or logged something)."""
         try:
             message = self._pipe.recv() if self._pipe.poll() else None
         except (EOFError, ConnectionResetError):
@@ -157,6 +159,9 @@ class _Worker(Generic[TaskT, ResultT]):
                 )
             return Crash(int(self._process.exitcode or 0))
         kind, value = message
+        if kind == "log":
+            logging.getLogger(value.name).handle(value)
+            return _NOTHING
         if kind == "error":
             raise value
         if kind == "started":
@@ -176,11 +181,24 @@ class _Worker(Generic[TaskT, ResultT]):
         self._process.close()
 
 
+class _ToCaller(logging.handlers.QueueHandler):
+    """Hands log records to the caller, which decides how they are shown."""
+
+    def __init__(self, pipe: Any) -> None:
+        super().__init__(pipe)
+        self._pipe = pipe
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Send a record, whose arguments are text by now."""
+        self._pipe.send(("log", record))
+
+
 def _serve(function: Callable[[TaskT], ResultT], pipe: Any) -> None:
     """Life of a worker process: a task in, a result out, until the caller is gone."""
     os.setpgid(0, 0)  # so that one signal ends it together with its own children
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller decides
     threading.Thread(target=_end_with_caller, daemon=True).start()
+    logging.getLogger().addHandler(_ToCaller(pipe))
     pipe.send(("started", None))
     while True:
         try:

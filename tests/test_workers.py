@@ -1,5 +1,6 @@
 """Processes that work, fail, crash and are left behind."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -39,6 +40,19 @@ def threads(_: int) -> list[str | None]:
 def sleep_long(_: int) -> int:
     time.sleep(600)
     return 0
+
+
+def warn(x: int) -> int:
+    logging.getLogger("gmdx").warning("task %d is odd, %s", x, Path("here"))
+    return x
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_workers_log_is_logged_by_the_caller(
+    workers: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert len(list(run_tasks(warn, range(3), workers=workers))) == 3
+    assert sorted(caplog.messages) == [f"task {k} is odd, here" for k in range(3)]
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])

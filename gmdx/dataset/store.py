@@ -4,6 +4,7 @@ import contextlib
 import errno
 import fcntl
 import json
+import logging
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,6 +18,8 @@ from gmdx.dataset import schema
 from gmdx.dataset.files import json_text, read_json, sync_folder, write_text
 from gmdx.dataset.schema import Failure
 from gmdx.errors import DatasetError, UsageError
+
+_log = logging.getLogger("gmdx")
 
 PARTIAL = ".partial"  # folder inside the root for what is not complete yet
 
@@ -234,4 +237,6 @@ def _locked(folder: Path) -> int:
     except BlockingIOError as error:
         os.close(descriptor)
         raise OutputError(f"another run is writing {folder}; wait for it to end") from error
+    except OSError as error:  # some network file systems have no locks
+        _log.warning("%s cannot be locked (%s): start no second run", folder, error.strerror)
     return descriptor
