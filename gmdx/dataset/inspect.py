@@ -149,7 +149,7 @@ def _objects(lines: Iterable[ObjectLine]) -> Table:
     return table
 
 
-def _shares(title: str, amounts: Mapping[str, float], precision: str) -> Table:
+def _shares(title: str, amounts: Mapping[str, int] | Mapping[str, float], precision: str) -> Table:
     """A histogram with bars."""
     table = Table("", title=title, title_justify="left")
     table.add_column("", justify="right")

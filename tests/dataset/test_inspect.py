@@ -1,0 +1,77 @@
+"""The overview's figures, counted another way."""
+
+import io
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from gmdx.dataset.inspect import overview, tables
+from gmdx.dataset.read import Dataset, read_dataset
+from gmdx.dataset.schema import Failure
+from gmdx.dataset.store import DatasetStore
+from gmdx.dataset.write import ObjectWriter
+from gmdx.metrics.table import METRIC_NAMES
+from gmdx.scenes.camera import render
+from tests.dataset.hand_built import CAMERA, HEADER, columns_of, grasps_of, scene_of
+
+INFO = {**HEADER, "gripper": {"name": "tweezers"}, "backend": "by hand"}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two objects whose outcomes, and whose missing values, are known."""
+    root: Path = tmp_path_factory.mktemp("dataset")
+    with DatasetStore(root, INFO) as store:
+        for object_id, labels in (
+            ("mug", ["success", "success"]),
+            ("cup", ["success", "no_contact"]),
+        ):
+            scene = scene_of(object_id)
+            writer = ObjectWriter(store.partial(object_id), scene.object)
+            grasps = grasps_of(4)
+            columns = columns_of(grasps)
+            columns["outcomes"] = np.array([labels] * 4, dtype=object)
+            columns["sim_success"] = np.array([1.0, 0.0, np.nan, 0.5])
+            columns["force"] = np.array([0.0, 0.0, 7.0, 9.0])
+            columns["g_coll"] = np.array([1.0, 0.0, 0.0, 0.0])
+            images = [render(scene, config=CAMERA)]
+            writer.write_scene(scene, images, [(grasps, columns)])
+            writer.close(failures=[])
+            writer.write_cost({"cpu_seconds": {"trials": 1.5, "settle": 0.5}})
+            store.publish(object_id)
+        failure = Failure("jug", None, "prepare", "MeshError", "no [closed] surface")
+        store.finish([failure], sources={"mug", "cup", "jug"})
+    return read_dataset(root)
+
+
+def test_counts(dataset: Dataset) -> None:
+    view = overview(dataset)
+    assert [line.object_id for line in view.objects] == ["cup", "mug"]
+    assert view.grasps == 8
+    assert view.outcomes == Counter(success=12, no_contact=4)
+    assert view.missing == {"sim_success": 2}
+    assert view.seconds == {"trials": 3.0, "settle": 1.0}
+    for line in view.objects:
+        assert (line.scenes, line.grasps, line.cpu_seconds) == (1, 4, 2.0)
+        assert (line.success, line.unsafe, line.held_force) == (0.5, 0.25, 8.0)
+    assert len(METRIC_NAMES) == 36
+
+
+def test_tables_show_them(dataset: Dataset) -> None:
+    screen = Console(file=io.StringIO(), width=160)
+    for table in tables(overview(dataset)):
+        screen.print(table)
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    for word in ("tweezers", "by hand", "no_contact", "75 %", "MeshError: no [closed] surface"):
+        assert word in text
+
+
+def test_an_empty_dataset_has_an_overview(tmp_path: Path) -> None:
+    with DatasetStore(tmp_path, INFO) as store:
+        store.finish([], sources=set())
+    view = overview(read_dataset(tmp_path))
+    assert view.grasps == 0
+    assert list(tables(view))
