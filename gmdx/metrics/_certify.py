@@ -1,6 +1,6 @@
 """One grasp's epsilon: from its contacts' wrench cones to bounds that are proved."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -48,6 +48,10 @@ class ContactSet:
     most_points: int  # of the polytope
 
 
+# Without closure both bounds of the unsigned value are 0.
+_NO_CLOSURE = Bounds(0.0, 0.0, np.full(6, np.nan), "no closure")
+
+
 def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
     """Bounds of epsilon by the cheapest route that proves them.
 
@@ -58,38 +62,41 @@ def certify(contacts: ContactSet, *, signed: bool) -> Bounds:
 
     Args:
         contacts: The grasp.
-        signed: Whether to measure how far a grasp without closure is from it.
+        signed: Whether to measure how far a grasp without closure is from it, or to leave
+            its value at 0.
     """
     if not _spans(contacts.cones):
-        return _flat(contacts, principal_axes(contacts.cones).axes[:, 0], signed)
-    if len(contacts.points) == 2:
-        closed = pair_closure(contacts.points, contacts.normals, friction=contacts.friction)
-        if not closed and project_origin(contacts.cones).separation > 0:
-            return _open(contacts, signed)
-        return _pair(contacts)
-    return _several(contacts, signed)
+        found = _flat(contacts)
+    elif len(contacts.points) == 2:
+        found = _pair(contacts)
+    else:
+        found = _several(contacts)
+    if signed and found.method == "no closure":
+        away = project_origin(contacts.cones)
+        upper = -away.separation
+        found = Bounds(min(-away.distance, upper), upper, away.direction, "projection")
+    if not signed and found.upper <= 0:
+        return _NO_CLOSURE
+    if not signed and found.lower < 0:
+        return replace(found, lower=0.0)
+    return found
 
 
-def _flat(contacts: ContactSet, normal: Float[Array, "6"], signed: bool) -> Bounds:
+def _flat(contacts: ContactSet) -> Bounds:
     """K lies in a hyperplane through 0: epsilon is 0 if K holds 0, else it is negative."""
     away = project_origin(contacts.cones)
     if away.separation > NEAR_ZERO:
-        return _open(contacts, signed)
+        return _NO_CLOSURE
+    normal = principal_axes(contacts.cones).axes[:, 0]
     upper = float(support(contacts.cones, normal))
     return Bounds(min(-away.distance, upper), upper, normal, "flat")
 
 
-def _open(contacts: ContactSet, signed: bool) -> Bounds:
-    """Without closure epsilon is minus a distance, which is a convex problem."""
-    if not signed:
-        return Bounds(0.0, 0.0, np.full(6, np.nan), "no closure")
-    away = project_origin(contacts.cones)
-    upper = -away.separation
-    return Bounds(min(-away.distance, upper), upper, away.direction, "projection")
-
-
 def _pair(contacts: ContactSet) -> Bounds:
     cones, both = contacts.cones, ((0, 1),)
+    closed = pair_closure(contacts.points, contacts.normals, friction=contacts.friction)
+    if not closed and project_origin(cones).separation > 0:
+        return _NO_CLOSURE
     tol = 0.02 * contacts.rtol
     bound = relaxation_bound(cones, both, transposed=False, tol=tol)
     guesses = bound.directions if len(bound.directions) else starting_directions(cones, 1)
@@ -103,11 +110,11 @@ def _pair(contacts: ContactSet) -> Bounds:
     return _finish(contacts, bound, u)
 
 
-def _several(contacts: ContactSet, signed: bool) -> Bounds:
+def _several(contacts: ContactSet) -> Bounds:
     cones, rtol = contacts.cones, contacts.rtol
     found = _descended(cones, starting_directions(cones, _STARTS), 0.3 * rtol)
     if found.values[0] <= 0:
-        return _open(contacts, signed)
+        return _NO_CLOSURE
     u = found.directions[0]
     bound = LowerBound(0.0, found.directions)
     if contacts.friction == 0 and contacts.torsion == 0:

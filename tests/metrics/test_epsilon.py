@@ -14,7 +14,7 @@ from gmdx.errors import MetricError
 from gmdx.metrics._incremental import _across
 from gmdx.metrics._relaxation import relaxation_bound
 from gmdx.metrics.epsilon import epsilon, epsilon_batch
-from gmdx.metrics.wrench import wrench_cones
+from gmdx.metrics.wrench import pair_closure, wrench_cones
 
 CASES = Path(__file__).parents[2].parent / "shared" / "epsilon_cases.json"
 X, Y, Z = np.eye(3)
@@ -377,6 +377,21 @@ def test_negative_values_against_sampled_cones():
     assert checked > 20
 
 
+def test_large_torsion_can_hold_what_the_line_test_refuses():
+    held = 0
+    for i in range(60):
+        g = pair(np.random.default_rng([16, i]), tilt=1.2, gamma=1.0)
+        if pair_closure(g["points"], g["normals"], friction=g["friction"]):
+            continue
+        e = epsilon(**g)
+        assert e.certified(1e-4)
+        if e.closure and held < 4:
+            assert brute_minimum(g, starts=5) >= e.lower * (1 - 1e-9)
+            assert sampled_distance(g) < 1e-9
+            held += 1
+    assert held == 4
+
+
 def test_relaxation_of_any_contacts_and_pairs_stays_below():
     for i in range(25):
         rng = np.random.default_rng([10, i])
@@ -537,6 +552,7 @@ def test_a_batch_agrees_with_single_grasps():
         assert e.lower <= signed.upper[i]
         assert signed.closure[i] == unsigned.closure[i] == e.closure
         assert signed.method[i] == e.method
+    assert (unsigned.lower[valid.any(axis=1)] >= 0).all()
     assert (unsigned.lower[2], unsigned.upper[2], unsigned.method[2]) == (0.0, 0.0, "no closure")
     assert np.isnan(unsigned.direction[2]).all()
     assert np.isnan([signed.lower[3], signed.upper[3]]).all()
