@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from gmdx.arrays import Array, Float, Int
+from gmdx.arrays import Array, Float
 from gmdx.errors import MeshError
 from gmdx.objects.holes import fill_holes
 from gmdx.objects.mesh import (
@@ -19,9 +19,10 @@ from gmdx.objects.mesh import (
     patches,
     used_vertices,
 )
+from gmdx.objects.parts import nesting, worst_misfit
 from gmdx.objects.simplify import Simplified, simplify_closed, simplify_open
 from gmdx.objects.solid import from_manifold, misfit, thicken, to_manifold
-from gmdx.objects.winding import consistent_faces, signed_volumes, winding_number
+from gmdx.objects.winding import consistent_faces, signed_volumes
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
     diagonal = _diagonal(work.vertices[used_vertices(work.faces)])
     _clean(work, tolerance=config.merge * diagonal)
     check_triangles("mesh after merging equal vertices", work.vertices, work.faces)
+    _part_touching(work)
     watertight_source = is_closed(work.faces)
     source_volume = None
     if watertight_source and is_consistent(work.faces):
@@ -151,6 +153,16 @@ def _clean(work: _Work, *, tolerance: float) -> None:
         work.faces = kept
 
 
+def _part_touching(work: _Work) -> None:
+    """Give closed parts that touch along an edge vertices of their own."""
+    label = patches(work.faces)
+    key, corner = np.unique(work.faces + len(work.vertices) * label[:, None], return_inverse=True)
+    faces = corner.reshape(-1, 3)
+    if is_closed(faces) and not is_closed(work.faces):
+        work.vertices, work.faces = work.vertices[key % len(work.vertices)], faces
+        work.done("part what touches", parts=int(label.max()) + 1)
+
+
 def _drop_flaps(work: _Work, *, share: float) -> None:
     """Drop small patches that hang loose: they end in the open, or on the rest at one edge."""
     label = patches(work.faces)
@@ -193,10 +205,14 @@ def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:
     faces = work.faces[keep[label]]
     label = np.unique(label[keep[label]], return_inverse=True)[1]
     volumes = volumes[keep]
-    signs, depths = _nesting(work.vertices, faces, label, volumes)
+    signs, depths = nesting(work.vertices, faces, label, volumes)
     turned = (signs * volumes < 0)[label]
     faces[turned] = faces[turned][:, ::-1]
     vertices = work.vertices
+    wrong = worst_misfit(vertices, faces, label)
+    if wrong > config.misfit:
+        work.done("found self-intersection", area_share=wrong)
+        return None
     steps: list[RepairStep] = []
     if not keep.all():
         lost = float(np.abs(signed_volumes(vertices, work.faces, patches(work.faces)))[~keep].sum())
@@ -221,44 +237,12 @@ def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:
         detail = {"parts": len(volumes), "voids": int((signs < 0).sum()),
                   "inside_others": int((depths > 0).sum())}  # fmt: skip
         steps.append(RepairStep("unite parts", detail))
-    wrong = misfit(vertices, faces) if len(faces) else 1.0
-    if wrong > config.misfit:
-        work.done("found self-intersection", area_share=wrong)
+    if len(faces) == 0:
         return None
     used = used_vertices(faces)
     work.vertices, work.faces = vertices[used], np.searchsorted(used, faces)
     work.steps.extend(steps)
     return wrong
-
-
-def _nesting(
-    vertices: Array, faces: Array, label: Array, volumes: Array
-) -> tuple[Int[Array, "k"], Int[Array, "k"]]:
-    """For each closed part, +1 (matter) or -1 (a void in matter), and in how many others it is.
-
-    From the largest part to the smallest: what is in no matter is matter; what is inside matter
-    is a void if it is wound against the part around it.
-    """
-    signs, depths = np.ones(len(volumes), int), np.zeros(len(volumes), int)
-    parts = [vertices[faces[label == k]] for k in range(len(volumes))]
-    low = np.array([p.min(axis=(0, 1)) for p in parts])
-    high = np.array([p.max(axis=(0, 1)) for p in parts])
-    order = np.argsort(-np.abs(volumes), kind="stable")
-    for place, k in enumerate(order):
-        probe = parts[k][:: max(1, len(parts[k]) // 8), 0]
-        total, container = 0.0, -1
-        for j in order[:place]:
-            if (low[j] > low[k]).any() or (high[j] < high[k]).any():
-                continue
-            inside = float(np.abs(winding_number(probe, parts[j])).min())
-            if inside > 0.5:
-                depths[k] += 1
-                total += signs[j]
-                container = j
-        if total > 0:  # in matter: its winding, relative to what is around it, decides
-            flipped = signs[container] * volumes[container] < 0
-            signs[k] = 1 if (volumes[k] > 0) != flipped else -1
-    return signs, depths
 
 
 def _volume(work: _Work) -> float:
