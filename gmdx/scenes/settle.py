@@ -12,6 +12,7 @@ from gmdx.geometry import quaternion_matrix, random_quaternion
 from gmdx.objects.model import ObjectModel
 from gmdx.rng import generator
 from gmdx.scenes.build import GRAVITY, PhysicsConfig, scene_model
+from gmdx.scenes.engine import quiet_warnings
 from gmdx.scenes.scene import Scene
 
 _LOOK = 10  # steps between two looks at whether the object is calm, or lost
@@ -92,7 +93,22 @@ def settle(
     except ValueError as error:
         raise SceneError(f"{where}: MuJoCo cannot simulate the object: {error}") from error
     fall = Fall(obj, model, random_quaternion(rng), config)
+    with quiet_warnings():
+        rest = _come_to_rest(fall, model, config, where)
+    return Scene(
+        object=obj,
+        scene_id=scene_id,
+        seed=seed,
+        position=np.array([0.0, 0.0, rest.qpos[2]]),
+        quaternion=rest.qpos[3:] / np.linalg.norm(rest.qpos[3:]),
+        settle_time=float(rest.time),
+    )
 
+
+def _come_to_rest(
+    fall: "Fall", model: mujoco.MjModel, config: SettleConfig, where: str
+) -> mujoco.MjData:
+    """The state in which the object stays put under the physics of the trials."""
     while True:
         calm_since = fall.data.time
         while fall.data.time - calm_since < config.calm_time:
@@ -108,19 +124,10 @@ def settle(
         for _ in range(int(np.ceil(config.rest_time / model.opt.timestep / _LOOK))):
             mujoco.mj_step(model, rest, _LOOK)
             _check(rest, fall.steps, config, where)
-        if _motion(fall.data.qpos, rest.qpos, obj.radius) <= config.rest_motion:
-            break
+        if _motion(fall.data.qpos, rest.qpos, fall.radius) <= config.rest_motion:
+            return rest
         # It was only balanced: let it fall on from where it has got to.
         fall.data.qpos[:], fall.data.qvel[:], fall.data.time = rest.qpos, rest.qvel, rest.time
-
-    return Scene(
-        object=obj,
-        scene_id=scene_id,
-        seed=seed,
-        position=np.array([0.0, 0.0, rest.qpos[2]]),
-        quaternion=rest.qpos[3:] / np.linalg.norm(rest.qpos[3:]),
-        settle_time=float(rest.time),
-    )
 
 
 class Fall:
@@ -140,6 +147,7 @@ class Fall:
     ) -> None:
         self.model: mujoco.MjModel = copy(model)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
+        self.radius = obj.radius
         self._config = config
         self._vertices = np.concatenate(obj.hulls)
         self.steps = 0

@@ -5,10 +5,8 @@ nothing is simulated whose end is known. A trial's numbers depend on itself alon
 batch it runs in, nor on the number of threads.
 """
 
-import logging
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -25,14 +23,13 @@ from gmdx.scenes.build import (
     GraspModel,
     grasp_model,
 )
+from gmdx.scenes.engine import quiet_warnings
 from gmdx.trials import frames
 from gmdx.trials.batch import RawTrials, TrialBatch
 from gmdx.trials.frames import Frames
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import Phase, Schedule, TrialConfig, compile_schedule
 from gmdx.trials.results import Snapshot
-
-_log = logging.getLogger("gmdx")
 
 
 @dataclass(frozen=True)
@@ -59,20 +56,10 @@ class MujocoBackend:
             closing_force=batch.gripper.force,
             descent=batch.descent,
         )
-        with _quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
+        with quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
             trials = _Trials(scene, batch, config, pool, self.threads)
             trials.run(schedule)
         return trials.results()
-
-
-@contextmanager
-def _quiet_warnings() -> Iterator[None]:
-    """Send MuJoCo's warnings to the log instead of a file in the working directory."""
-    mujoco.set_mju_user_warning(lambda message: _log.debug("MuJoCo: %s", message))
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
 
 
 _Observe = Callable[[Int[Array, "a"], Frames, slice], Bool[Array, "a"]]
