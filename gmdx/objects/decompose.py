@@ -61,7 +61,7 @@ class DecomposeConfig:
         default_factory=lambda: CoacdConfig(mcts_nodes=20, mcts_iterations=60, mcts_max_depth=3)
     )
     max_hulls: int = 96
-    max_vertices: int = 64  # of one hull
+    max_vertices: int = 128  # of one hull
     vertex_tolerance: float = 2e-4  # m, by which a vertex left out of a hull may stick out
     overlap: float = 2e-5  # m, growth of each of several hulls, so that no slit is left between
     max_trim: float = 1.5e-4  # m, by which a solid's outer facets may be moved in for its volume
