@@ -34,7 +34,7 @@ from gmdx.scenes.settle import SettleConfig, settle
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.run import BACKENDS, run_trials
-from gmdx.workers import Crash, run_tasks
+from gmdx.workers import Crash, return_freed_memory, run_tasks
 
 logger = logging.getLogger("gmdx")
 
@@ -283,6 +283,7 @@ def _batches(
         costs.add_batch(trials, table.cost)
         with costs.stage("write"):
             yield batch, {**table.values, **table.extra, "outcomes": LABELS[table.outcomes]}
+        return_freed_memory()
 
 
 def _failure(object_id: str, scene_id: int | None, stage: str, error: Exception) -> Failure:

@@ -1,6 +1,7 @@
 """Tasks in processes of their own: a crash costs one task, and nothing outlives the caller."""
 
 import contextlib
+import ctypes
 import logging
 import logging.handlers
 import multiprocessing
@@ -58,6 +59,17 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def return_freed_memory() -> None:
+    """Hand memory that was freed back to the system.
+
+    The GNU allocator keeps it in pieces between what lives on, and grows with every batch of
+    large arrays; other allocators have no such call, nor the need for it.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 def run_tasks(
