@@ -110,7 +110,7 @@ def test_a_ball_keeps_its_volume_with_few_vertices() -> None:
     assert len(found.hulls) == 1
     assert len(found.hulls[0]) <= DecomposeConfig().max_vertices
     assert ConvexHull(found.hulls[0]).volume == pytest.approx(4 / 3 * np.pi * 0.025**3, rel=0.01)
-    assert found.report["hulls_to_surface_mm"]["p95"] < 0.4
+    assert found.report["hulls_to_surface_mm"]["p95"] < 0.5
 
 
 def test_a_cup_stays_hollow(decomposed_cup: Decomposition) -> None:
