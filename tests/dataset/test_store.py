@@ -123,6 +123,13 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
         tmp_path.chmod(0o700)
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system of the kernel's")
+def test_a_file_system_that_takes_no_files_is_refused() -> None:
+    for path in ("/proc/gmdx", "/proc/self/task"):
+        with pytest.raises(OutputError, match="cannot use|not empty"):
+            DatasetStore(path, HEADER)
+
+
 def test_two_runs_cannot_write_one_folder(tmp_path: Path) -> None:
     with (
         DatasetStore(tmp_path, HEADER),
