@@ -126,7 +126,7 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system of the kernel's")
 def test_a_file_system_that_takes_no_files_is_refused() -> None:
     for path in ("/proc/gmdx", "/proc/self/task"):
-        with pytest.raises(OutputError, match="cannot use|not empty"):
+        with pytest.raises(OutputError, match=r"cannot use|not empty"):
             DatasetStore(path, HEADER)
 
 
