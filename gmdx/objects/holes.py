@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.objects.mesh import edge_counts
 
-_LONGEST = 100  # edges around a hole: the work grows with their third power
+_LONGEST = 256  # edges around a hole: the work grows with their third power
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def fill_holes(
     for loop in _loops(faces):
         points = vertices[loop]
         across = float(np.linalg.norm(points[:, None] - points[None], axis=2).max())
-        if len(loop) > _LONGEST:
+        if len(loop) > _LONGEST or _flat_area(points) > area:
             continue
         triangles = smallest_triangulation(points, forbidden=_forbidden(loop, edges))
         a, b, c = np.moveaxis(points[triangles], 1, 0)
@@ -86,6 +86,12 @@ def smallest_triangulation(
             triangles.append((first, between, last))
             open_spans += [(first, between), (between, last)]
     return np.array(triangles, np.int64)
+
+
+def _flat_area(points: Float[Array, "n 3"]) -> float:
+    """Area of a closed polygon's largest projection: no surface that spans it has less."""
+    around = points - points.mean(axis=0)
+    return float(0.5 * np.linalg.norm(np.cross(around, np.roll(around, -1, axis=0)).sum(axis=0)))
 
 
 def _edges(faces: Int[Array, "f 3"]) -> set[tuple[int, int]]:

@@ -98,14 +98,13 @@ def repair(mesh: trimesh.Trimesh, config: RepairConfig | None = None) -> Repaire
         source_volume = abs(_volume(work))
     if not watertight_source:
         _drop_flaps(work, share=config.flap)
-        _fill_holes(work, share=config.hole_area)
-    faces, turned = consistent_faces(work.faces)
-    if turned.any() and is_closed(faces) and is_consistent(faces):
-        work.faces = faces
-        work.done("turn faces to agree", faces=int(turned.sum()))
-    wrong = _closed_parts(work, config=config)
+    wrong = _close(work, config=config)
+    if wrong is None and len(work.faces) > config.max_open_faces:
+        simple = simplify_open(work.vertices, work.faces, max_faces=config.max_open_faces)
+        work.apply("simplify open surface", simple)
+        wrong = _close(work, config=config)  # holes have fewer edges now
     if wrong is None:
-        _make_solid(work, thickness=config.shell * diagonal, config=config)
+        _make_solid(work, thickness=config.shell * diagonal)
         wrong = misfit(work.vertices, work.faces)
     if len(work.faces) > config.max_faces:
         simple = simplify_closed(
@@ -192,6 +191,20 @@ def _fill_holes(work: _Work, *, share: float) -> None:
     work.done("fill holes", **detail)
 
 
+def _close(work: _Work, *, config: RepairConfig) -> float | None:
+    """Fill what small holes there are, and make one solid of the closed parts.
+
+    Returns the misfit of the outcome, or None if that gives no proper solid.
+    """
+    if not is_closed(work.faces):
+        _fill_holes(work, share=config.hole_area)
+    faces, turned = consistent_faces(work.faces)
+    if turned.any() and is_closed(faces) and is_consistent(faces):
+        work.faces = faces
+        work.done("turn faces to agree", faces=int(turned.sum()))
+    return _closed_parts(work, config=config)
+
+
 def _closed_parts(work: _Work, *, config: RepairConfig) -> float | None:
     """Face closed parts outward and unite them.
 
@@ -250,11 +263,8 @@ def _volume(work: _Work) -> float:
     return float(signed_volumes(work.vertices, work.faces, part)[0])
 
 
-def _make_solid(work: _Work, *, thickness: float, config: RepairConfig) -> None:
+def _make_solid(work: _Work, *, thickness: float) -> None:
     """Replace a surface that is not closed by a solid."""
-    if len(work.faces) > config.max_open_faces:
-        simple = simplify_open(work.vertices, work.faces, max_faces=config.max_open_faces)
-        work.apply("simplify open surface", simple)
     area = as_trimesh(work.vertices, work.faces).area_faces
     kept = work.faces[area > 1e-10 * area.max()]
     open_edges = int((edge_counts(kept) == 1).sum())

@@ -290,3 +290,26 @@ def test_nothing_left_is_refused() -> None:
     mesh = as_trimesh(np.zeros((4, 3)), np.array([[0, 1, 2]] * 4))
     with pytest.raises(MeshError):
         repair(mesh)
+
+
+def holed_ball(*, around: int, along: int, cap: float) -> trimesh.Trimesh:
+    """A unit ball of `around` meridians without the cap within `cap` rad of its pole."""
+    polar = np.linspace(cap, np.pi, along)
+    profile = np.stack([np.sin(polar), np.cos(polar)], axis=1)
+    profile[-1, 0] = 0.0
+    return trimesh.creation.revolve(profile, sections=around)
+
+
+@pytest.mark.parametrize(("around", "along"), [(200, 12), (320, 20)])
+def test_a_small_hole_is_filled_however_many_edges_it_has(around: int, along: int) -> None:
+    repaired = repair(holed_ball(around=around, along=along, cap=0.3))
+    assert_proper(repaired)
+    assert "fill holes" in steps(repaired)
+    assert repaired.mesh.volume == pytest.approx(4 / 3 * np.pi, rel=0.03)
+
+
+def test_a_wide_opening_of_many_edges_stays_open() -> None:
+    repaired = repair(holed_ball(around=200, along=12, cap=0.7))
+    assert_proper(repaired)
+    assert "fill holes" not in steps(repaired)
+    assert repaired.mesh.volume < 0.3 * 4 / 3 * np.pi
