@@ -147,7 +147,7 @@ def generate(
     """
     config = GenerateConfig() if config is None else config
     specs = [objects] if isinstance(objects, str | Path) else list(objects)
-    sources = resolve([str(spec) for spec in specs])
+    sources = resolve([str(spec) for spec in specs], leave_out=Path(out))
     gripper = load_gripper(config.gripper)
     failures: list[Failure] = []
     grasps = produced = 0

@@ -209,6 +209,15 @@ def test_a_dataset_grows_by_more_objects(root: Path, cache: Path, tmp_path: Path
     assert contents(tmp_path) == contents(root / "out")
 
 
+def test_a_folder_that_holds_the_output_gives_the_same_run_again(
+    cache: Path, tmp_path: Path
+) -> None:
+    write_meshes(tmp_path, 1)
+    for present in (0, 1):
+        summary = generate(tmp_path, tmp_path / "out", small_config(cache))
+        assert (summary.requested, summary.present) == (1, present)
+
+
 def test_options_that_change_results_cannot_be_mixed(root: Path, cache: Path) -> None:
     meshes = sorted((root / "meshes").iterdir())
     before = contents(root / "out")

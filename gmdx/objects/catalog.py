@@ -30,7 +30,9 @@ class ObjectSource:
     origin: str = "file"  # "bundled", "file" or "pybullet:random_urdfs"
 
 
-def resolve(specs: Sequence[str | Path]) -> tuple[ObjectSource, ...]:
+def resolve(
+    specs: Sequence[str | Path], *, leave_out: Path | None = None
+) -> tuple[ObjectSource, ...]:
     """The mesh files that a list of specifications names, each once, in that order.
 
     A specification is a file, a folder (searched through all its subfolders for known formats),
@@ -42,6 +44,10 @@ def resolve(specs: Sequence[str | Path]) -> tuple[ObjectSource, ...]:
     changes nothing. Copies with the same name and content are numbered (`mug-1f3a9c02-2`); they
     are the same object, so it is no matter which copy gets which number.
 
+    Args:
+        specs: What the user names.
+        leave_out: A folder in which folders and patterns find nothing: a run's own output.
+
     Raises:
         CatalogError: A specification names nothing, or needs a package that is not installed.
     """
@@ -51,7 +57,7 @@ def resolve(specs: Sequence[str | Path]) -> tuple[ObjectSource, ...]:
     taken: set[str] = set()
     result: list[ObjectSource] = []
     for spec in specs:
-        for source in _expand(spec):
+        for source in _expand(spec, None if leave_out is None else leave_out.resolve()):
             real = source.path.resolve()
             if real in seen:
                 continue
@@ -90,24 +96,26 @@ def bundled_names() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in _bundled_folder().glob("*.obj")))
 
 
-def _expand(spec: str | Path) -> Iterator[ObjectSource]:
+def _expand(spec: str | Path, leave_out: Path | None) -> Iterator[ObjectSource]:
     text = str(spec)
     if text == _BUNDLED or text.startswith(_BUNDLED + ":"):
         yield from _bundled(text)
     elif text.startswith("pybullet:"):
         yield from _pybullet(text)
     else:
-        yield from (file_source(p) for p in _files(text))
+        yield from (file_source(p) for p in _files(text, leave_out))
 
 
-def _files(text: str) -> list[Path]:
+def _files(text: str, leave_out: Path | None) -> list[Path]:
     """The mesh files that a path or a pattern names."""
+    if not text.strip():
+        raise CatalogError("an empty name among the objects; '.' is the current folder")
     path = Path(text).expanduser()
     known = ", ".join(sorted(FORMATS))
     if path.is_file():
         return [path]  # taken at its word: if it is no mesh, reading it says so
     if path.is_dir():
-        found = _in_folder(path)
+        found = _in_folder(path, leave_out)
         if not found:
             raise CatalogError(f"{text}: no mesh file in this folder or below (formats: {known})")
         return found
@@ -115,8 +123,8 @@ def _files(text: str) -> list[Path]:
         found = []
         for match in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207  absolute ones too
             if Path(match).is_dir():
-                found += _in_folder(Path(match))
-            elif _is_mesh(Path(match)):
+                found += _in_folder(Path(match), leave_out)
+            elif _is_mesh(Path(match), leave_out):
                 found.append(Path(match))
         if not found:
             raise CatalogError(f"{text}: no mesh file matches this pattern (formats: {known})")
@@ -127,19 +135,22 @@ def _files(text: str) -> list[Path]:
     )
 
 
-def _in_folder(folder: Path) -> list[Path]:
+def _in_folder(folder: Path, leave_out: Path | None) -> list[Path]:
     """Mesh files in a folder and below, hidden ones left out."""
     return sorted(
         p
         for p in folder.rglob("*")
-        if _is_mesh(p)
+        if _is_mesh(p, leave_out)
         and p.is_file()
         and not any(part.startswith(".") for part in p.relative_to(folder).parts)
     )
 
 
-def _is_mesh(path: Path) -> bool:
-    return path.suffix.lower().lstrip(".") in FORMATS
+def _is_mesh(path: Path, leave_out: Path | None) -> bool:
+    """Whether a file that was found, not named, is to be taken."""
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        return False
+    return leave_out is None or not path.resolve().is_relative_to(leave_out)
 
 
 def _bundled_folder() -> Path:

@@ -42,6 +42,16 @@ def test_globs_match_files_and_folders(tmp_path: Path) -> None:
     assert {s.name for s in resolve([str(tmp_path / "s?b")])} == {"three"}
 
 
+def test_a_runs_own_output_is_not_found_among_its_objects(tmp_path: Path) -> None:
+    write_box(tmp_path / "a")
+    inside = write_box(tmp_path / "runs" / "out" / "objects" / "a" / "mesh")
+    out = tmp_path / "runs" / "out"
+    for spec in (tmp_path, tmp_path / "*", tmp_path / "**" / "*.stl"):
+        assert [s.name for s in resolve([spec], leave_out=out)] == ["a"]
+        assert len(resolve([spec])) == 2
+    assert [s.name for s in resolve([inside], leave_out=out)] == ["mesh"]  # named: meant
+
+
 def test_the_same_name_in_two_folders_gets_two_ids(tmp_path: Path) -> None:
     a, b = write_box(tmp_path / "a" / "part", 1.0), write_box(tmp_path / "b" / "part", 2.0)
     both = ids(tmp_path)
@@ -96,6 +106,12 @@ def test_a_named_file_is_taken_whatever_it_is(tmp_path: Path) -> None:
 )
 def test_what_is_not_there_is_said(spec: str, message: str) -> None:
     with pytest.raises(CatalogError, match=message):
+        resolve([spec])
+
+
+@pytest.mark.parametrize("spec", ["", " "])
+def test_an_empty_name_is_not_the_current_folder(spec: str) -> None:
+    with pytest.raises(CatalogError, match="empty name"):
         resolve([spec])
 
 
