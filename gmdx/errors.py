@@ -37,10 +37,6 @@ class GraspError(GmdxError):
     """No grasp could be sampled, or a batch of grasps is malformed."""
 
 
-class TrialError(GmdxError):
-    """A batch of trials could not be run."""
-
-
 class MetricError(GmdxError):
     """A metric was given values that it is not defined for."""
 

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gmdx.errors import ConfigError
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.gripper import Gripper
 
@@ -46,6 +47,12 @@ class PhysicsConfig:
     drive_force: float = 300.0  # N, that servo's limit
     closing_speed: float = 0.15  # m/s, of each finger while nothing resists it
     closing_acceleration: float = 30.0  # m/s^2, of a free finger: sets the drive's inertia
+    memory: int = 2**24  # bytes for contacts and constraints; a trial that needs more fails by name
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not np.all(np.asarray(value) > 0):
+                raise ConfigError(f"physics: {name} must be positive, got {value}")
 
 
 @dataclass(frozen=True)
@@ -82,6 +89,7 @@ class ContactSensors:
 def table_and_object(obj: ObjectModel, physics: PhysicsConfig) -> mujoco.MjSpec:
     """The table z = 0 and the object as a free body, ready to compile or to add to."""
     spec = mujoco.MjSpec()
+    spec.memory = physics.memory
     option = spec.option
     option.timestep = physics.timestep
     option.gravity = [0.0, 0.0, -GRAVITY]

@@ -46,6 +46,7 @@ class Gripper:
     signs: tuple[float, float]  # +1 where a positive joint position closes, else -1
     gap: float  # m, opening at joint positions 0
     pad_size: Float[Array, "2"]  # m, of a pad's face: along tool y, along tool z
+    tip: float  # m, how far the lowest part reaches below the tool point
 
     def finger_positions(self, opening: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
         """Joint positions at which the pads are `opening` m apart, each finger taking half."""
@@ -175,6 +176,23 @@ def _gripper(
         signs=(signs[0], signs[1]),
         gap=gap,
         pad_size=np.minimum(sizes[0], sizes[1]),
+        tip=max(
+            -float((rotation @ (to_root @ (corner - data.xpos[root]) - tool_point))[2])
+            for corner in _corners(model, data)
+        ),
+    )
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> Float[Array, "c 3"]:
+    """Corners of the boxes around all geoms, in the model's world, m."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    return np.concatenate(
+        [
+            data.geom_xpos[g]
+            + (model.geom_aabb[g, :3] + signs * model.geom_aabb[g, 3:])
+            @ data.geom_xmat[g].reshape(3, 3).T
+            for g in range(model.ngeom)
+        ]
     )
 
 

@@ -63,7 +63,7 @@ def place(
 
     position, quaternion = object_in_gripper(scene, center, angle)
     top = max(float(scene.to_world(hull)[:, 2].max()) for hull in scene.object.hulls)
-    start = np.maximum(top + 0.5 * gripper.pad_size[1], center[:, 2]) + config.clearance
+    start = np.maximum(top + gripper.tip, center[:, 2]) + config.clearance
     return TrialBatch(
         object=scene.object,
         gripper=gripper,

@@ -10,6 +10,7 @@ from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, SLOT_SIZE, ContactSensors
 
 _FACE_COSINE = np.cos(np.pi / 4)  # a contact this close to the closing axis is on a pad's face
+_RECENT = 5  # steps: contacts may bounce for one or two
 _FOUND, _FORCE, _POSITION, _NORMAL = 0, 1, slice(5, 8), slice(8, 11)  # in a pad's slot
 
 
@@ -57,6 +58,14 @@ def pads_press(sensors: Float[Array, "n d"], layout: ContactSensors) -> Bool[Arr
     return np.stack(
         [slots[..., _FORCE].max(axis=-1) > 0 for slots in pad_slots(sensors, layout)], axis=-1
     )
+
+
+def lets_go(frames: Frames, layout: ContactSensors) -> Bool[Array, "n"]:
+    """Whether no pad pressed on the object in any of the last steps."""
+    count, steps, size = frames.sensors[:, -_RECENT:].shape
+    press = pads_press(frames.sensors[:, -_RECENT:].reshape(count * steps, size), layout)
+    gone: Array = ~np.any(press.reshape(count, -1), axis=1)
+    return gone
 
 
 def pad_contacts(

@@ -14,7 +14,6 @@ import numpy as np
 from mujoco import rollout
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.errors import TrialError
 from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import (
     HEIGHT_QPOS,
@@ -44,11 +43,7 @@ class MujocoBackend:
         return f"mujoco {mujoco.__version__}"
 
     def run(self, batch: TrialBatch, *, config: TrialConfig) -> RawTrials:
-        """Run every trial to its named end.
-
-        Raises:
-            TrialError: MuJoCo ran out of contact or constraint memory.
-        """
+        """Run every trial to its named end."""
         scene = grasp_model(batch.object, batch.gripper, config.physics)
         schedule = compile_schedule(
             config,
@@ -97,6 +92,7 @@ class _Trials:
         self.valid = np.zeros((count, 2, slots), bool)
         self.held_force = np.zeros(count)
         self.pushed_out = np.zeros(count, bool)
+        self.push_failed = np.zeros(count, bool)
         self.force = np.zeros(count)
         self.lower_bound = np.zeros(count, bool)
         self.steps = 0
@@ -105,20 +101,19 @@ class _Trials:
     def run(self, schedule: Schedule) -> None:
         """All phases in turn."""
         self._start()
-        self._advance(schedule.approach, self._watch_approach)
+        self._live(schedule.approach, self._watch_approach)
         self._snapshot(Snapshot.CLOSING)
-        self._advance(schedule.close, self._watch_closing)
+        self._live(schedule.close, self._watch_closing)
         self._snapshot(Snapshot.CLOSED)
         self._read_grip()
-        self._advance(schedule.lift, self._watch_lift)
-        self._advance(schedule.hold, self._watch_hold)
+        self._live(schedule.lift, self._watch_lift)
+        self._live(schedule.hold, self._watch_hold)
         self._snapshot(Snapshot.HELD)
         self._judge()
         self._push(schedule.push)
-        self._check_memory()
 
     def results(self) -> RawTrials:
-        diverged = self.outcome == Outcome.DIVERGED
+        unknown = (self.outcome == Outcome.DIVERGED) | self.push_failed
         return RawTrials(
             outcome=self.outcome,
             collision=self.collision,
@@ -126,8 +121,8 @@ class _Trials:
             tool_height=self.height,
             contacts=PadContacts(self.points, self.normals, self.valid),
             opening=self.opening,
-            push_force=np.where(diverged, np.nan, self.force),
-            push_force_is_lower_bound=self.lower_bound & ~diverged,
+            push_force=np.where(unknown, np.nan, self.force),
+            push_force_is_lower_bound=self.lower_bound & ~unknown,
             steps=self.steps,
             step_seconds=self.step_seconds,
         )
@@ -156,7 +151,7 @@ class _Trials:
 
     def _watch_lift(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
         """An object that no pad touches any more will not come back."""
-        lost: Array = ~np.any(frames.pads_press(steps.sensors[:, -1], self.layout), axis=1)
+        lost = frames.lets_go(steps, self.layout)
         self.outcome[rows[lost]] = Outcome.LOST_IN_LIFT
         return lost
 
@@ -224,8 +219,9 @@ class _Trials:
             self.pushed_out[rows] |= ended
             return ended
 
-        self._advance(phase, watch, rows)
-        rows = rows[self.outcome[rows] == Outcome.SUCCESS]
+        # What is out may be fast, and a push that fails takes no success away.
+        failed = self._advance(phase, watch, rows, fastest=np.inf)
+        self.push_failed[failed] = True
         out = self.pushed_out[rows]
         self.force[rows] = np.where(out, self.held_force[rows], strength[-1])
         self.lower_bound[rows] = ~out
@@ -233,28 +229,38 @@ class _Trials:
     # Stepping
 
     def _advance(
-        self, phase: Phase, observe: _Observe, rows: Int[Array, "a"] | None = None
-    ) -> None:
-        """Step the living rows through a phase until it, or what `observe` watches for, ends.
+        self, phase: Phase, observe: _Observe, rows: Int[Array, "a"], *, fastest: float
+    ) -> Int[Array, "f"]:
+        """Step rows through a phase until it, or what `observe` watches for, ends.
 
-        Rows that diverge get that outcome and drop out, before anything else sees them.
+        Returns the rows whose simulation failed; nothing else sees them.
         """
-        rows = np.flatnonzero(self._alive()) if rows is None else rows
-        nq = self.scene.model.nq
+        nq, dt = self.scene.model.nq, self.config.physics.timestep
+        failed = []
         for start in range(0, len(phase), self.config.chunk):
             if len(rows) == 0:
-                return
+                break
             span = slice(start, min(start + self.config.chunk, len(phase)))
             states, sensors = self._step(rows, phase, span)
             steps = Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
-            sane = frames.sane(steps, fastest=self.config.mad_speed)
-            self.outcome[rows[~sane]] = Outcome.DIVERGED
+            # MuJoCo freezes a rollout at its first warning: bad numbers, or memory that ran out.
+            elapsed = states[:, -1, 0] - self.state[rows, 0]
+            frozen = ~(elapsed > (states.shape[1] - 0.5) * dt)
+            sane = ~frozen & frames.sane(steps, fastest=fastest)
+            failed.append(rows[~sane])
             rows, steps, states = rows[sane], steps[sane], states[sane]
             before = states[:, -2] if states.shape[1] > 1 else self.state[rows]
             self.qpos_at_sensors[rows] = before[:, 1 : 1 + nq]
             self.sensors[rows] = steps.sensors[:, -1]
             self.state[rows] = states[:, -1]
             rows = rows[~observe(rows, steps, span)]
+        return np.concatenate([np.zeros(0, int), *failed])
+
+    def _live(self, phase: Phase, observe: _Observe) -> None:
+        """Step every living row through a phase; those that fail have diverged."""
+        rows = np.flatnonzero(self._alive())
+        failed = self._advance(phase, observe, rows, fastest=self.config.mad_speed)
+        self.outcome[failed] = Outcome.DIVERGED
 
     def _step(
         self, rows: Int[Array, "a"], phase: Phase, steps: slice
@@ -294,13 +300,3 @@ class _Trials:
 
     def _still(self, steps: Frames) -> Bool[Array, "a"]:
         return frames.still(steps, speed=self.config.still_speed, spin=self.config.still_spin)
-
-    def _check_memory(self) -> None:
-        for kind in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL):
-            if any(data.warning[kind].number for data in self.data):
-                raise TrialError(
-                    f"MuJoCo dropped contacts or constraints of object "
-                    f"'{self.batch.object.object_id}' for lack of memory: its "
-                    f"{len(self.batch.object.hulls)} hulls touch in too many places; "
-                    "decompose it into fewer"
-                )

@@ -25,6 +25,11 @@ class NoiseConfig:
     height: float = 0.0005  # m
     angle: float = 0.05  # rad, of the closing axis
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value >= 0:
+                raise ConfigError(f"trial noise: {name} must not be negative, got {value}")
+
 
 @dataclass(frozen=True)
 class TrialConfig:
@@ -36,14 +41,14 @@ class TrialConfig:
     closing_pause: float = 0.12  # s, after the fingers could have crossed the whole stroke
     lift_height: float = 0.08  # m
     lift_time: float = 0.3  # s
-    hold_time: float = 0.2  # s, at most: it ends when nothing moves
+    hold_time: float = 0.6  # s, at most: it ends when nothing moves
     risen: float = 0.5  # of the lift height: success needs the mass centre to have risen this much
     push_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)  # tool frame: out of the gripper
     push_ramp: float = 5.0  # closing forces a second
     push_limit: float = 3.0  # closing forces, where the ramp ends
     push_distance: float = 0.003  # m, moved relative to the gripper: pushed out
     slip_speed: float = 0.01  # m/s, relative to the gripper: slip; slower is creep of soft contacts
-    chunk: int = 20  # steps between two looks at what has ended
+    chunk: int = 20  # steps between two looks at what has ended; a phase ends early only there
     still_speed: float = 0.002  # m/s, and
     still_spin: float = 0.05  # rad/s: slower than both counts as not moving
     mad_speed: float = 30.0  # m/s: faster is a diverged simulation
@@ -51,8 +56,13 @@ class TrialConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or self.chunk < 1:
-            raise ConfigError("trials and chunk must be at least 1")
+        if self.trials < 1 or self.chunk < 2:
+            raise ConfigError("trials must be at least 1 and chunk at least 2")
+        may_be_zero = ("still_speed", "still_spin", "push_distance")
+        for name, value in vars(self).items():
+            number = isinstance(value, int | float)
+            if number and not (value > 0 or (value == 0 and name in may_be_zero)):
+                raise ConfigError(f"trial: {name} must be positive, got {value}")
         if abs(np.linalg.norm(self.push_direction) - 1.0) > 1e-9:
             raise ConfigError("push_direction must be a unit vector")
 

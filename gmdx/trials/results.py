@@ -31,7 +31,8 @@ class TrialResults:
     tool_position: Float[Array, "n 4 3"]  # m, nominal trial, by Snapshot
     contacts: PadContacts  # nominal trial, in the object's frame, at CLOSED
     opening: Float[Array, "n"]  # m, between the pads at CLOSED, from the joints
-    push_force: Float[Array, "n"]  # N, external force that pushed the object out; 0 if not lifted
+    push_force: Float[Array, "n"]  # N, that pushed it out; 0 if not lifted, or if it slipped
+    # out by itself; NaN if the trial or its push diverged
     push_force_is_lower_bound: Bool[Array, "n"]  # the ramp ended before the object came out
     backend: str  # which engine ran, with its version
     steps: int  # physics steps over all trials

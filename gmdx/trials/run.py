@@ -63,7 +63,6 @@ def run_trials(
     Raises:
         UsageError: The backend is not known.
         GraspError: A grasp is not finite, or wider than the gripper opens.
-        TrialError: The engine could not run the batch.
     """
     if backend not in BACKENDS:
         raise UsageError(f"unknown backend '{backend}': give one of {', '.join(sorted(BACKENDS))}")

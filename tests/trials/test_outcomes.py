@@ -7,7 +7,9 @@ import pytest
 
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.scenes.build import PhysicsConfig
 from gmdx.trials.outcome import Outcome
+from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import Snapshot
 from gmdx.trials.run import run_trials
 from tests.support import box_object, resting_scene
@@ -58,11 +60,29 @@ def test_too_heavy_to_lift_is_lost() -> None:
 
 
 def test_diverged_simulation_is_named_and_measures_nothing() -> None:
-    # A tenth of a milligram under a push of newtons: faster than any real object.
-    trials = run_trials(resting_scene(box_object(BOX, mass=1e-7)), _grasp((0.0, 0.0, 0.025)))
-    assert trials.outcome[0, 0] == Outcome.DIVERGED
+    slow = TrialConfig(mad_speed=0.05)  # m/s: what any gripper that comes down exceeds
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=slow)
+    assert np.all(trials.outcome == Outcome.DIVERGED)
     assert np.isnan(trials.push_force[0])
+    assert np.isnan(trials.opening[0])
     assert not trials.push_force_is_lower_bound[0]
+
+
+def test_contacts_that_find_no_memory_end_a_trial_by_name() -> None:
+    # MuJoCo drops contacts for which it has no memory, warns, and freezes the rollout.
+    small = TrialConfig(physics=PhysicsConfig(memory=4000))
+    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=small)
+    assert np.all(trials.outcome == Outcome.DIVERGED)
+
+
+def test_what_flies_off_when_pushed_out_has_been_held() -> None:
+    config = TrialConfig(push_direction=(0.0, 1.0, 0.0))
+    scene = resting_scene(box_object(BOX, mass=0.02))
+    trials = run_trials(scene, _grasp((0.0, 0.0, 0.025)), config=config)
+    assert np.all(trials.outcome == Outcome.SUCCESS)
+    # Friction bears the weight as well, across the push.
+    expected = np.hypot(2 * 0.8 * 20.0, 0.02 * 9.81)
+    assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
 
 
 def test_nan_in_the_start_is_a_diverged_trial() -> None:
@@ -78,7 +98,8 @@ def test_engine_warnings_leave_no_file_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    run_trials(resting_scene(box_object(BOX, mass=1e-7)), _grasp((0.0, 0.0, 0.025)))
+    small = TrialConfig(physics=PhysicsConfig(memory=4000))
+    run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=small)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -65,7 +65,15 @@ def test_fingers_can_cross_the_whole_stroke(schedule: Schedule) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"trials": 0}, {"chunk": 0}, {"push_direction": (0.0, 0.0, -2.0)}]
+    "wrong",
+    [
+        {"trials": 0},
+        {"chunk": 1},
+        {"push_direction": (0.0, 0.0, -2.0)},
+        {"lift_time": -1.0},
+        {"push_ramp": 0.0},
+        {"hold_time": float("nan")},
+    ],
 )
 def test_wrong_configurations_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):

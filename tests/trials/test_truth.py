@@ -70,7 +70,7 @@ def test_pads_press_with_the_gripper_s_force(gripper_name: str) -> None:
 
 @pytest.mark.parametrize("mass", [0.05, 0.1, 0.5])
 @pytest.mark.parametrize("friction", [0.3, 0.8])
-@pytest.mark.parametrize("gripper_name", ["parallel_jaw", "franka_hand"])
+@pytest.mark.parametrize("gripper_name", shipped_grippers())
 def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
     gripper_name: str, friction: float, mass: float
 ) -> None:
