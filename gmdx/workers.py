@@ -139,7 +139,7 @@ class _Worker(Generic[TaskT, ResultT]):
         self._started = False
         self._pipe, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(target=_serve, args=(function, theirs), daemon=False)
-        with _one_thread_each():
+        with _one_thread_each(), _interrupts_held_back():
             self._process.start()
         theirs.close()
         with contextlib.suppress(BrokenPipeError):  # a death is seen in `receive`
@@ -209,6 +209,7 @@ def _serve(function: Callable[[TaskT], ResultT], pipe: Any) -> None:
     """Life of a worker process: a task in, a result out, until the caller is gone."""
     os.setpgid(0, 0)  # so that one signal ends it together with its own children
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller decides
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_caller, daemon=True).start()
     logging.getLogger().addHandler(_ToCaller(pipe))
     pipe.send(("started", None))
@@ -231,6 +232,20 @@ def _end_with_caller() -> None:
     if caller is not None:
         connection.wait([caller.sentinel])
     os.killpg(0, signal.SIGKILL)
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Processes started inside are deaf to Ctrl-C at once; the caller hears it afterwards.
+
+    A terminal sends it to all of them, and one that is still importing would answer with a
+    traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -147,6 +147,39 @@ def test_workers_do_not_outlive_a_killed_caller(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
+def test_workers_that_are_still_starting_take_ctrl_c_in_silence(tmp_path: Path) -> None:
+    """A terminal sends it to all of them."""
+    import subprocess
+
+    (tmp_path / "interrupted.py").write_text(
+        "import os, sys, time\n"
+        "from gmdx.workers import run_tasks\n"
+        "open(f'{os.getpid()}.pid', 'w').close()\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        list(run_tasks(abs, [0, 1], workers=2))\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(7)\n"
+        "else:\n"
+        "    time.sleep(600)  # a slow import\n"
+    )
+    caller = subprocess.Popen(
+        [sys.executable, "interrupted.py"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    end = time.monotonic() + 60
+    while len(list(tmp_path.glob("*.pid"))) < 3:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    os.killpg(caller.pid, signal.SIGINT)
+    _, errors = caller.communicate(timeout=60)
+    assert (caller.returncode, errors) == (7, "")
+
+
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
