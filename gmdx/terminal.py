@@ -26,11 +26,17 @@ if TYPE_CHECKING:
 _logger = logging.getLogger("gmdx")
 
 
+class _Screen(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command that the reader has seen enough: rich would exit with 1."""
+        raise BrokenPipeError
+
+
 def console() -> Console:
     """Standard output; wide enough for every table where it is not a terminal."""
     if sys.stdout.isatty():
-        return Console()
-    return Console(width=max(shutil.get_terminal_size().columns, 160))
+        return _Screen()
+    return _Screen(width=max(shutil.get_terminal_size().columns, 160))
 
 
 def say(text: str) -> None:

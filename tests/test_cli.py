@@ -221,6 +221,18 @@ def test_help_is_fast() -> None:
     assert after.children_user - before.children_user < 1.0
 
 
+@pytest.mark.parametrize("words", [("metrics",), ("config",), ("inspect",)])
+def test_a_reader_that_has_seen_enough_is_no_failure(
+    words: tuple[str, ...], root: Path, cache: Path
+) -> None:
+    command = Command(*words, *([root / "out"] if words == ("inspect",) else []), cache=cache)
+    assert command.process.stdout is not None
+    command.process.stdout.close()
+    assert command.process.stderr is not None
+    assert command.process.stderr.read() == ""
+    assert command.process.wait(60) == 0
+
+
 @needs_proc
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
@@ -231,7 +243,7 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(
     command = Command(*words, cache=cache)
     command.wait_for(f"{PARTIAL}/objects/*", tmp_path)
     time.sleep(0.1)
-    command.process.send_signal(signal.SIGINT)
+    os.killpg(command.process.pid, signal.SIGINT)  # as a terminal does: workers, too
     command.finish()
     assert command.code == 130
     assert "Traceback" not in command.err
