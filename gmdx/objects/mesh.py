@@ -150,6 +150,8 @@ def _parse(path: Path, kind: str, data: bytes) -> tuple[Array, Array]:
             data.decode("utf-8")
         except UnicodeDecodeError:
             data = data.decode("latin-1").encode("utf-8")  # names and comments of old exporters
+    if kind == "stl":
+        _refuse_damaged_stl(path, data)
     try:
         if kind == "gltf":  # refers to files beside it
             scene = trimesh.load_scene(path, process=False, skip_materials=True)
@@ -170,6 +172,19 @@ def _parse(path: Path, kind: str, data: bytes) -> tuple[Array, Array]:
         [np.asarray(p.faces, np.int64) + o for p, o in zip(parts, offsets, strict=True)]
     )
     return vertices, faces
+
+
+def _refuse_damaged_stl(path: Path, data: bytes) -> None:
+    """Refuse a binary stl of another length than its header says; parsers take it for text."""
+    if b"\0" not in data:
+        return
+    count = int.from_bytes(data[80:84], "little")
+    whole = 84 + 50 * count
+    if len(data) != whole:
+        raise MeshError(
+            f"{path}: {len(data)} bytes where a binary stl of {count} triangles, as its header "
+            f"says, has {whole}: truncated, damaged or of another format"
+        )
 
 
 def _refuse_truncated(path: Path, kind: str, data: bytes, vertices: Array, faces: Array) -> None:

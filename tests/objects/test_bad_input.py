@@ -62,6 +62,12 @@ def test_truncated_files(tmp_path: Path, kind: str, share: float) -> None:
     refused(path, "cut")
 
 
+def test_a_cut_binary_stl_says_by_how_much(tmp_path: Path) -> None:
+    path = tmp_path / "cut.stl"
+    path.write_bytes(small_box().export(file_type="stl")[:300])
+    refused(path, "300 bytes where a binary stl of 12 triangles, as its header says, has 684")
+
+
 @pytest.mark.parametrize("kind", ["obj", "stl", "ply", "off", "glb"])
 @pytest.mark.parametrize("named", ["obj", "stl", "ply", "off", "glb"])
 def test_wrong_extensions(tmp_path: Path, kind: str, named: str) -> None:
