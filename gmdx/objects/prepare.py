@@ -29,7 +29,7 @@ from gmdx.objects.stable import StableConfig, stable_poses
 _PLAUSIBLE = (1e-3, 3.0)  # m, longest side of an object that a gripper could be meant for
 _log = logging.getLogger("gmdx")
 
-CacheOption = Path | Literal["user"] | None
+CacheOption = Path | Literal["user"] | str | None  # a folder
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,16 @@ def prepare(
     """
     config = PrepareConfig() if config is None else config
     digest = content_hash(source.path)
-    folder = cache_folder() if cache == "user" else cache
+    folder = cache_folder() if cache == "user" else None if cache is None else Path(cache)
     key = cache_key(digest, source, asdict(config))
     if folder is not None:
         kept = read_cached(folder, key, source)
         if kept is not None:
             return kept
     obj = _prepare(source, digest, config)
-    if folder is not None:
+    # A run of CoACD that hit its time limit may do better another time: it is not kept.
+    timed_out = any("failure" in a for a in obj.report["decomposition"]["attempts"])
+    if folder is not None and not timed_out:
         write_cached(folder, key, obj)
     return obj
 
@@ -213,7 +215,7 @@ def _size_warnings(source: ObjectSource, raw: trimesh.Trimesh) -> list[str]:
     if size < low:
         raise MeshError(
             f"{source.path}: its longest side is {size:.3g} m, too small to grasp; "
-            "if the file is not in metres, pass its scale"
+            "if the file is not in metres, rescale it, or give load_object its scale"
         )
     if size <= high:
         return []

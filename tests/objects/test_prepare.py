@@ -104,6 +104,7 @@ def test_the_cache_gives_back_the_same(box_file: Path, tmp_path: Path) -> None:
     stamp = file.stat().st_mtime_ns
     again = load_object(box_file, cache=kept)
     assert_same(first, again)
+    assert_same(first, load_object(str(box_file), cache=str(kept)))
     assert file.stat().st_mtime_ns == stamp
     fresh = load_object(box_file, cache=None)
     assert_same(replace(fresh, report={}), replace(first, report={}))
