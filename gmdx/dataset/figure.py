@@ -26,6 +26,10 @@ class DrawConfig:
     crop: bool = True  # show what is around the object and the grasps, not the whole image
     most: int | None = 20  # grasps drawn at most, spread over places and angles; None: all
 
+    def __post_init__(self) -> None:
+        if self.most is not None and self.most < 1:
+            raise UsageError(f"cannot draw at most {self.most} grasps: give 1 or more")
+
 
 def metric_named(name: str) -> Metric:
     """The metric of that name.

@@ -70,6 +70,8 @@ class DatasetStore:
         self.objects = self.root / schema.OBJECTS_FOLDER
         self._partial = self.root / PARTIAL
         self._header = {"schema_version": schema.SCHEMA_VERSION, **json.loads(json_text(header))}
+        if self.root.exists() and not self.root.is_dir():
+            raise OutputError(f"cannot use {self.root} for output: it is no folder; give another")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self._refuse_foreign()

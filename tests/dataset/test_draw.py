@@ -217,6 +217,12 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
         draw_scene(box_image(), some_grasps(2), np.zeros(2), metric="force", config=config)
 
 
+@pytest.mark.parametrize("most", [0, -3])
+def test_no_picture_of_no_grasps(most: int) -> None:
+    with pytest.raises(UsageError, match=f"at most {most} grasps"):
+        DrawConfig(most=most)
+
+
 def test_malformed_input_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="3 values of force for 2 grasps"):
         draw_scene(box_image(), some_grasps(2), np.zeros(3), metric="force")
