@@ -37,18 +37,21 @@ def json_text(value: Any) -> str:
     return json.dumps(plain(value), indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
-def read_json(path: Path) -> Any:
-    """The content of a JSON file.
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file.
 
     Raises:
-        DatasetError: It cannot be read, or is not JSON.
+        DatasetError: It cannot be read, is not JSON, or holds something else.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
         raise DatasetError(f"{path} is not valid JSON ({error}); the dataset is damaged") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path} holds no JSON object; the dataset is damaged")
+    return content
 
 
 def write_text(path: Path, text: str) -> None:

@@ -40,8 +40,14 @@ class Dataset:
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """Ids of the objects, sorted."""
+        """Ids of the objects, sorted.
+
+        Raises:
+            DatasetError: Their folder is gone.
+        """
         folder = self.root / schema.OBJECTS_FOLDER
+        if not folder.is_dir():
+            raise DatasetError(f"{self.root} has no folder {folder.name}; the dataset is damaged")
         return tuple(sorted(path.name for path in folder.iterdir() if path.is_dir()))
 
     @property

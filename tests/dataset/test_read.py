@@ -106,6 +106,18 @@ def test_not_a_dataset(tmp_path: Path) -> None:
     (tmp_path / schema.DATASET_FILE).write_text("{")
     with pytest.raises(DatasetError, match="not valid JSON"):
         read_dataset(tmp_path)
+    for content in ("[]", "null", "3"):
+        (tmp_path / schema.DATASET_FILE).write_text(content)
+        with pytest.raises(DatasetError, match="holds no JSON object"):
+            read_dataset(tmp_path)
+
+
+def test_a_dataset_that_lost_its_objects_is_damaged(tmp_path: Path) -> None:
+    write_dataset(tmp_path)
+    assert read_dataset(tmp_path).objects == ()
+    (tmp_path / schema.OBJECTS_FOLDER).rmdir()
+    with pytest.raises(DatasetError, match="has no folder objects"):
+        read_dataset(tmp_path).grasps()
 
 
 @pytest.mark.parametrize("name", [schema.MESH_FILE, schema.SCENES_FILE, schema.HULLS_FILE])
