@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.table import Table
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg
 from tyro.conf import subcommand as named
 from tyro.constructors import PrimitiveConstructorSpec
 
@@ -48,7 +48,6 @@ def _optional(kind: type[int] | type[str], metavar: str, default: str) -> tuple[
 
 _Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...", help_behavior_hint="")]
 _Cache = Annotated[str | None, *_optional(str, "DIR", "~/.cache/gmdx")]
-_Json = FlagCreatePairsOff[Annotated[bool, arg(help_behavior_hint="")]]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -82,6 +82,19 @@ class GenerateConfig:
             raise ConfigError("set `trials` of the whole run, not of [trial]")
         if self.settle.physics not in (PhysicsConfig(), self.trial.physics):
             raise ConfigError("set [trial.physics], which settling shares, not [settle.physics]")
+        if self.metric.patch_radius != self.trial.physics.torsion_radius:
+            raise ConfigError(
+                "[metric] patch_radius and [trial.physics] torsion_radius are one length, the "
+                "radius of a contact's patch: set both to the same"
+            )
+
+    def resolved(self) -> "GenerateConfig":
+        """The same run with what stages share written into each of them."""
+        return replace(
+            self,
+            trial=replace(self.trial, trials=self.trials),
+            settle=replace(self.settle, physics=self.trial.physics),
+        )
 
 
 @dataclass(frozen=True)
@@ -145,7 +158,7 @@ def generate(
         UsageError: The objects, the gripper, the options or the folder do not work.
         DatasetError: The disk refused a write; what is complete stays.
     """
-    config = GenerateConfig() if config is None else config
+    config = (GenerateConfig() if config is None else config).resolved()
     specs = [objects] if isinstance(objects, str | Path) else list(objects)
     sources = resolve([str(spec) for spec in specs], leave_out=Path(out))
     gripper = load_gripper(config.gripper)
@@ -243,8 +256,7 @@ def _annotate_scene(
     """One scene: rest, images, grasps, trials and metrics."""
     config = task.config
     with costs.stage("settle"):
-        falling = replace(config.settle, physics=config.trial.physics)
-        scene = settle(obj, config.seed, scene_id=scene_id, config=falling)
+        scene = settle(obj, config.seed, scene_id=scene_id, config=config.settle)
     with costs.stage("render"):
         views = range(config.camera.views)
         images = [render(scene, view=view, config=config.camera) for view in views]
@@ -272,14 +284,11 @@ def _batches(
                 scene,
                 batch,
                 config.backend,
-                trials=config.trials,
                 gripper=task.gripper,
                 config=config.trial,
             )
         with costs.stage("metrics"):
-            table = compute_metrics(
-                scene, batch, trials, gripper=task.gripper, config=config.metric
-            )
+            table = compute_metrics(scene, batch, trials, config=config.metric)
         costs.add_batch(trials, table.cost)
         with costs.stage("write"):
             yield batch, {**table.values, **table.extra, "outcomes": LABELS[table.outcomes]}
@@ -306,11 +315,20 @@ def gripper_record(gripper: Gripper) -> dict[str, Any]:
     """A gripper as `dataset.json` names it: lengths in m, the force in N."""
     return {
         "name": gripper.name,
-        "sha256": hashlib.sha256(repr(gripper).encode()).hexdigest(),
+        "sha256": _gripper_hash(gripper),
         "stroke": gripper.stroke,
         "force": gripper.force,
         "pad_size": [float(size) for size in gripper.pad_size],
     }
+
+
+def _gripper_hash(gripper: Gripper) -> str:
+    """SHA-256 of everything that a gripper's description and model say."""
+    digest = hashlib.sha256()
+    for name, value in sorted(vars(gripper).items()):
+        text = np.asarray(value).tolist() if isinstance(value, np.ndarray) else value
+        digest.update(f"{name}={text!r};".encode())
+    return digest.hexdigest()
 
 
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:

@@ -10,6 +10,8 @@ import pytest
 import gmdx
 from gmdx.geometry import quaternion_matrix, quaternion_multiply, yaw_quaternion
 
+SIMULATED = {m.name for m in gmdx.METRICS if m.kind != "priori"}
+
 
 @pytest.fixture(scope="module")
 def hammer(tmp_path_factory: pytest.TempPathFactory) -> gmdx.ObjectModel:
@@ -41,11 +43,14 @@ def test_turning_and_moving_the_world_keeps_every_metric(hammer: gmdx.ObjectMode
     same = np.all(other.outcomes == table.outcomes, axis=1)
     assert same.mean() >= 0.9
     for name in gmdx.METRIC_NAMES:
-        difference = np.abs(other[name] - table[name])[same]
-        agree = (difference <= 1e-3 * (1.0 + np.abs(table[name][same]))) | (
-            np.isnan(other[name][same]) & np.isnan(table[name][same])
-        )
-        assert agree.mean() >= 0.9, name
+        before, after = table[name][same], other[name][same]
+        assert np.array_equal(np.isnan(before), np.isnan(after)), name
+        known = np.isfinite(before)
+        gap = np.abs(after - before)[known] / np.maximum(np.abs(before[known]), 1e-2)
+        # Trials amplify roundoff, most of all where an object slips.
+        assert (gap <= (1e-2 if name in SIMULATED else 1e-6)).mean() >= 0.9, name
+        if name not in SIMULATED and not name.endswith("quality"):
+            assert gap.max(initial=0.0) <= 1e-9, name
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from gmdx.metrics.table import METRICS
 from gmdx.trials.results import TrialResults
 
 
@@ -60,7 +61,33 @@ class Costs:
             "prepare_seconds": dict(self._prepare),
             "trials": dict(self._trials),
             "metric_seconds": dict(self._metrics),
+            "seconds_per_grasp_and_metric": self._by_metric(),
         }
+
+    def _by_metric(self) -> dict[str, float]:
+        """Processor seconds that one metric of one grasp needs, with all that it rests on.
+
+        Metrics of one stage share its cost: asked for together, they cost it once.
+        """
+        grasps = max(self._grasps, 1)
+        trials = self._cpu["trials"] + self._metrics["trial"]
+        needs = {
+            "object": self._metrics["object"],
+            "grasp": self._metrics["grasp"],
+            "contact": self._metrics["contact"],
+            "trial": trials,
+        }
+        seconds = {}
+        for metric in METRICS:
+            if metric.stage == "epsilon":
+                contacts = needs["contact"] if metric.kind == "priori" else trials
+                total = contacts + self._metrics[f"epsilon/{metric.name}"]
+            else:
+                total = needs[metric.stage]
+                if metric.kind == "comparative":
+                    total += needs["contact"]
+            seconds[metric.name] = total / grasps
+        return seconds
 
 
 def _processor_seconds() -> float:

@@ -15,6 +15,7 @@ from gmdx.arrays import Array, Float
 from gmdx.dataset.read import Dataset
 from gmdx.dataset.schema import OUTCOMES, Failure
 from gmdx.metrics.table import METRIC_NAMES
+from gmdx.trials.outcome import Outcome
 
 _READ = ("scene_id", "outcomes", *METRIC_NAMES)
 
@@ -83,7 +84,8 @@ def overview(dataset: Dataset) -> Overview:
 def _line(
     object_id: str, rows: pa.Table, values: Mapping[str, Array], cpu_seconds: float
 ) -> ObjectLine:
-    force = values["force"][values["force"] > 0]
+    lifted = pc.equal(pc.list_element(rows["outcomes"], 0), Outcome.SUCCESS.label).to_numpy()
+    force = values["force"][lifted & np.isfinite(values["force"])]
     return ObjectLine(
         object_id=object_id,
         scenes=pc.count_distinct(rows["scene_id"]).as_py(),

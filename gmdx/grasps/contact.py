@@ -53,8 +53,9 @@ def closing_contacts(
 ) -> ClosingContacts:
     """Where the pads would first touch the object's surface if nothing moved while they close.
 
-    Only what lies between the open pads counts, and a line whose pad stands inside the object
-    touches nothing. A grasp that no line meets has no valid contact (NaN).
+    For the pads only what lies between them while open counts, and a line whose pad stands
+    inside the object touches nothing; the line through the centre comes from outside the
+    object on either side. A grasp that no line meets has no valid contact (NaN).
 
     Args:
         scene: The object at rest.
@@ -67,15 +68,26 @@ def closing_contacts(
     center = scene.to_object(grasps.center)
     axis = scene.direction_to_object(grasps.axis)
     up = np.broadcast_to(scene.direction_to_object(_WORLD_UP), center.shape)
-    offsets = np.concatenate([np.zeros((1, 2)), pad_grid(gripper.pad_size, config.grid)])
-    touch = closing_lines(obj.vertices, obj.faces, center, axis, up, grasps.width, offsets=offsets)
-    lines = center[:, None] + _across(offsets, axis, up)  # n l 3
     normals = -surface_of(obj.vertices, obj.faces).normals
-    everything = _contacts(touch, lines, axis, normals)
-    first = PadContacts(
-        everything.points[:, :, :1], everything.normals[:, :, :1], everything.valid[:, :, :1]
+
+    def meet(offsets: Float[Array, "l 2"], width: Float[Array, "n"]) -> _Touched:
+        touch = closing_lines(obj.vertices, obj.faces, center, axis, up, width, offsets=offsets)
+        lines = center[:, None] + _across(offsets, axis, up)  # n l 3
+        return _Touched(_contacts(touch, lines, axis, normals), touch)
+
+    # Longer than the object from wherever the grasp's centre lies.
+    through = 2.0 * (np.linalg.norm(center, axis=1) + obj.radius) + 1e-3
+    pads = meet(pad_grid(gripper.pad_size, config.grid), grasps.width)
+    return ClosingContacts(
+        center=meet(np.zeros((1, 2)), through).contacts,
+        pads=_first_touches(pads, config.touch_tolerance),
     )
-    return ClosingContacts(first, _first_touches(everything, touch, config.touch_tolerance))
+
+
+@dataclass(frozen=True)
+class _Touched:
+    contacts: PadContacts  # k = lines
+    touch: FirstTouch
 
 
 def _across(
@@ -98,15 +110,15 @@ def _contacts(
     return PadContacts(points, np.where(valid[..., None], normals[touch.triangle], np.nan), valid)
 
 
-def _first_touches(everything: PadContacts, touch: FirstTouch, tolerance: float) -> PadContacts:
-    """Drop the centre line, and what lies further than `tolerance` behind the first touch."""
-    travel = touch.distance[:, :, 1:] * np.array([1.0, -1.0])[:, None]
-    valid = everything.valid[:, :, 1:]
+def _first_touches(touched: _Touched, tolerance: float) -> PadContacts:
+    """Drop what lies further than `tolerance` behind the first touch of its pad."""
+    travel = touched.touch.distance * np.array([1.0, -1.0])[:, None]
+    everything, valid = touched.contacts, touched.contacts.valid
     first = np.where(valid, travel, np.inf).min(axis=2, keepdims=True)
     valid = valid & (np.where(valid, travel, np.inf) <= first + tolerance)
     keep = valid[..., None]
     return PadContacts(
-        np.where(keep, everything.points[:, :, 1:], np.nan),
-        np.where(keep, everything.normals[:, :, 1:], np.nan),
+        np.where(keep, everything.points, np.nan),
+        np.where(keep, everything.normals, np.nan),
         valid,
     )

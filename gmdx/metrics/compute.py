@@ -23,7 +23,6 @@ from gmdx.metrics.epsilon import epsilon_batch
 from gmdx.metrics.patch import essential_contacts
 from gmdx.metrics.table import METRIC_NAMES
 from gmdx.objects.model import ObjectModel
-from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.results import Snapshot, TrialResults
@@ -101,7 +100,6 @@ def compute_metrics(
     grasps: PlanarGrasp,
     trials: TrialResults,
     *,
-    gripper: Gripper | None = None,
     config: MetricConfig | None = None,
 ) -> MetricTable:
     """All 36 metrics of n grasps.
@@ -109,19 +107,19 @@ def compute_metrics(
     Args:
         scene: The object at rest.
         grasps: n grasps of that scene.
-        trials: Their trials.
-        gripper: The gripper of the trials; the default one if None.
+        trials: Their trials, which also say with which gripper.
         config: Contact patch, tolerances, lines.
 
     Raises:
-        MetricError: Grasps and trials are not of the same number.
+        MetricError: The trials are not those of these grasps.
     """
-    if len(grasps) != len(trials):
+    if not np.array_equal(grasps.grasp_id, trials.grasp_id):
         raise MetricError(
-            f"{len(grasps)} grasps but the trials of {len(trials)}: pass the trials of these grasps"
+            f"{len(grasps)} grasps but the trials of {len(trials)}, or in another order: pass the "
+            "trials of these grasps"
         )
     config = MetricConfig() if config is None else config
-    gripper = load_gripper() if gripper is None else gripper
+    gripper = trials.gripper
     clock = _Clock()
     values: dict[str, Array] = {}
     extra: dict[str, Array] = {}

@@ -19,6 +19,7 @@ from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 
 _PACKAGES = ("coacd", "fast-simplification", "manifold3d", "numpy", "scipy", "trimesh")
 _NOT_PREPARATION = frozenset({"cache.py", "catalog.py", "report.py"})
+_GROUND_FLOOR = ("arrays.py", "geometry.py", "rng.py")  # that preparation builds on
 _log = logging.getLogger("gmdx")
 
 
@@ -57,9 +58,11 @@ def cache_key(sha256: str, source: ObjectSource, settings: dict[str, Any]) -> st
 def code_version() -> str:
     """Hash of the modules that prepare objects, and of the versions of what they build on."""
     digest = hashlib.sha256()
-    for module in sorted(Path(__file__).parent.glob("*.py")):
-        if module.name not in _NOT_PREPARATION:
-            digest.update(module.name.encode() + module.read_bytes())
+    folder = Path(__file__).parent
+    own = (m for m in folder.glob("*.py") if m.name not in _NOT_PREPARATION)
+    ground = (folder.parent / name for name in _GROUND_FLOOR)
+    for module in sorted([*own, *ground]):
+        digest.update(module.name.encode() + module.read_bytes())
     for package in _PACKAGES:
         digest.update(f"{package}=={importlib.metadata.version(package)}\n".encode())
     return digest.hexdigest()
@@ -78,7 +81,7 @@ def read_cached(folder: Path, key: str, source: ObjectSource) -> ObjectModel | N
             arrays = {name: kept[name] for name in kept.files}
         facts = json.loads(arrays.pop("facts").tobytes())
         report = facts["report"]
-        report["source"]["file"] = source.path.name
+        report["source"] |= {"file": source.path.name, "origin": source.origin}
         return ObjectModel(
             object_id=source.object_id,
             vertices=arrays["vertices"],

@@ -5,6 +5,7 @@ from enum import IntEnum
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
+from gmdx.scenes.gripper import Gripper
 
 
 class Snapshot(IntEnum):
@@ -24,6 +25,8 @@ class TrialResults:
     (contacts). Poses are of the object's frame in the world of the scene.
     """
 
+    grasp_id: Int[Array, "n"]  # of the grasps, in their order
+    gripper: Gripper  # that executed them
     outcome: Int[Array, "n t"]  # values of `Outcome`
     collision: Bool[Array, "n t"]  # something other than a pad's face touched before closing
     object_position: Float[Array, "n 4 3"]  # m, nominal trial, by Snapshot

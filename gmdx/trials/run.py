@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from gmdx.arrays import Array, Int
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.gripper import Gripper, load_gripper
@@ -75,7 +76,9 @@ def run_trials(
     engine = BACKENDS[backend](threads)
     batch = place(scene, grasps, gripper=gripper, config=config)
     raw = engine.run(batch, config=config)
-    return _results(batch, raw, config.trials, engine.version, time.perf_counter() - start)
+    return _results(
+        grasps.grasp_id, batch, raw, config.trials, engine.version, time.perf_counter() - start
+    )
 
 
 def _check(grasps: PlanarGrasp, gripper: Gripper) -> None:
@@ -90,7 +93,12 @@ def _check(grasps: PlanarGrasp, gripper: Gripper) -> None:
 
 
 def _results(
-    batch: TrialBatch, raw: RawTrials, trials: int, version: str, seconds: float
+    grasp_id: Int[Array, "n"],
+    batch: TrialBatch,
+    raw: RawTrials,
+    trials: int,
+    version: str,
+    seconds: float,
 ) -> TrialResults:
     """Back to the world's frame, a row a grasp."""
     first = batch.nominal
@@ -100,6 +108,8 @@ def _results(
     ground = np.repeat(center[:, None, :2], height.shape[1], axis=1)
     tool = np.concatenate([ground, height[..., None]], axis=2)
     return TrialResults(
+        grasp_id=grasp_id,
+        gripper=batch.gripper,
         outcome=raw.outcome.reshape(-1, trials),
         collision=raw.collision.reshape(-1, trials),
         object_position=position,

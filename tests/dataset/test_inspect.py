@@ -56,7 +56,7 @@ def test_counts(dataset: Dataset) -> None:
     assert view.seconds == {"trials": 3.0, "settle": 1.0}
     for line in view.objects:
         assert (line.scenes, line.grasps, line.cpu_seconds) == (1, 4, 2.0)
-        assert (line.success, line.unsafe, line.held_force) == (0.5, 0.25, 8.0)
+        assert (line.success, line.unsafe, line.held_force) == (0.5, 0.25, 3.5)
     assert len(METRIC_NAMES) == 36
 
 

@@ -50,6 +50,8 @@ def _still_trials(scene: Scene, grasps: PlanarGrasp, **changes: object) -> Trial
     n = len(grasps)
     nothing = np.full((n, 2, 1, 3), np.nan)
     still = TrialResults(
+        grasp_id=grasps.grasp_id,
+        gripper=GRIPPER,
         outcome=np.full((n, 5), int(Outcome.SUCCESS)),
         collision=np.zeros((n, 5), bool),
         object_position=np.tile(scene.position, (n, 4, 1)),
@@ -68,7 +70,9 @@ def _still_trials(scene: Scene, grasps: PlanarGrasp, **changes: object) -> Trial
 
 
 def _priori(scene: Scene, grasps: PlanarGrasp, **options: object) -> MetricTable:
-    return compute_metrics(scene, grasps, _still_trials(scene, grasps), **options)  # type: ignore[arg-type]
+    gripper = options.pop("gripper", GRIPPER)
+    trials = _still_trials(scene, grasps, gripper=gripper)
+    return compute_metrics(scene, grasps, trials, **options)  # type: ignore[arg-type]
 
 
 def _pair_epsilon(r: float, L: float, mu: float, gamma: float, d: float) -> float:
@@ -187,7 +191,7 @@ def test_comparative_metrics_vanish_where_the_fingers_touched_as_foreseen() -> N
 def test_what_does_not_exist_is_nan_and_never_zero() -> None:
     scene = resting_scene(box_object(EXTENTS))
     grasps = PlanarGrasp(
-        np.arange(2), np.array([[0.3, 0.0, 0.04], [0.0, 0.0, 0.04]]), np.zeros(2), np.full(2, 0.07)
+        np.arange(2), np.array([[0.0, 0.3, 0.04], [0.0, 0.0, 0.04]]), np.zeros(2), np.full(2, 0.07)
     )
     gone = np.full((2, 4, 3), np.nan)
     gone[:, 0] = scene.position
@@ -344,7 +348,7 @@ def test_a_grasp_does_not_depend_on_its_batch(hammer: trimesh.Trimesh) -> None:
 
 
 def _rows(trials: TrialResults, rows: slice) -> TrialResults:
-    whole = ("backend", "steps", "step_seconds", "seconds")
+    whole = ("gripper", "backend", "steps", "step_seconds", "seconds")
     parts = {f.name: getattr(trials, f.name)[rows] for f in fields(trials) if f.name not in whole}
     return replace(trials, **parts)
 
@@ -384,6 +388,8 @@ def test_table_names_its_columns_and_refuses_others() -> None:
         table["quality"]
     with pytest.raises(MetricError, match="2 grasps but the trials of 1"):
         compute_metrics(scene, grasps, _still_trials(scene, grasps[:1]))
+    with pytest.raises(MetricError, match="in another order"):
+        compute_metrics(scene, grasps, _still_trials(scene, grasps[::-1]))
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:
