@@ -22,6 +22,13 @@ from gmdx.errors import DatasetError, UsageError
 _log = logging.getLogger("gmdx")
 
 PARTIAL = ".partial"  # folder inside the root for what is not complete yet
+_RESULTS = (  # of an object; its costs may go missing
+    schema.OBJECT_FILE,
+    schema.MESH_FILE,
+    schema.HULLS_FILE,
+    schema.SCENES_FILE,
+    schema.GRASPS_FILE,
+)
 
 
 class OutputError(DatasetError, UsageError):
@@ -105,8 +112,20 @@ class DatasetStore:
         os.close(self._lock)
 
     def complete(self) -> set[str]:
-        """Ids of the objects that are in place."""
-        return {folder.name for folder in self.objects.iterdir() if folder.is_dir()}
+        """Ids of the objects that are in place.
+
+        Raises:
+            OutputError: One has lost a file, which no run does: objects come into place whole.
+        """
+        found = [folder for folder in self.objects.iterdir() if folder.is_dir()]
+        for folder in sorted(found):
+            lost = [name for name in _RESULTS if not (folder / name).is_file()]
+            if lost:
+                raise OutputError(
+                    f"{folder} has no {', '.join(lost)}: the dataset is damaged; remove that "
+                    "folder, and the same command makes the object anew"
+                )
+        return {folder.name for folder in found}
 
     def partial(self, object_id: str) -> Path:
         """Where to write an object before it is published; nothing is there yet."""

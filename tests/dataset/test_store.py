@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gmdx.dataset import files, store, write
+from gmdx.dataset import files, schema, store, write
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import PARTIAL, DatasetStore, OutputError, StorageError, read_failures
 from gmdx.errors import DatasetError
@@ -57,6 +57,17 @@ def test_what_a_killed_run_left_is_removed_and_the_rest_stays(tmp_path: Path) ->
         failure = Failure("cup", None, "prepare", "MeshError", "no faces")
         kept.finish([failure], sources={"mug", "bowl", "cup"})
     assert contents(root) == contents(tmp_path / "whole")
+
+
+def test_an_object_that_has_lost_a_file_is_not_complete(tmp_path: Path) -> None:
+    write_dataset(tmp_path, "mug")
+    table = tmp_path / schema.OBJECTS_FOLDER / "mug" / schema.GRASPS_FILE
+    table.unlink()
+    with (
+        DatasetStore(tmp_path, HEADER) as store,
+        pytest.raises(OutputError, match=r"mug has no grasps\.parquet.*remove that folder"),
+    ):
+        store.complete()
 
 
 def test_a_new_folder_killed_before_its_header_can_be_taken_up(tmp_path: Path) -> None:
