@@ -15,7 +15,8 @@ def perturb(
     """Centres (m) and angles (rad, not wrapped) of every trial; trial 0 is the grasp itself.
 
     The noise is drawn in the grasp's own axes, so it turns with the world, and from the key
-    (seed, object, scene, grasp, trial), so it does not depend on what else is in the batch.
+    (seed, object, scene, grasp, trial), so it does not depend on what else is in the batch. The
+    closing axis has a direction here, from pad 0 to pad 1: half a turn mirrors the draws.
     """
     draws = np.zeros((len(grasps), trials, 4))
     for row, grasp_id in enumerate(grasps.grasp_id):
