@@ -16,7 +16,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from gmdx import bench
 from gmdx.config import as_toml, load_toml, merge
 from gmdx.errors import GmdxError, GripperError, UsageError
-from gmdx.terminal import complain, console, following, say
+from gmdx.terminal import complain, console, following, interrupts_kept, say
 from gmdx.workers import THREAD_VARIABLES, available_cores, run_tasks
 
 if TYPE_CHECKING:
@@ -77,7 +77,8 @@ class Generate:
 
     def run(self) -> int:
         """Generate the dataset."""
-        from gmdx.pipeline import generate
+        with interrupts_kept():
+            from gmdx.pipeline import generate
 
         with following("grasps") as on_progress:
             summary = generate(self.objects, self.out, self.settings(), on_progress=on_progress)
@@ -200,7 +201,8 @@ class Prepare:
 
     def run(self) -> int:
         """Print a report per object."""
-        from gmdx.objects.catalog import resolve
+        with interrupts_kept():
+            from gmdx.objects.catalog import resolve
 
         sources = resolve(list(self.objects))
         workers = available_cores() if self.workers is None else self.workers

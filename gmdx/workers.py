@@ -10,7 +10,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from typing import Any, Generic, TypeVar
 
 from gmdx.errors import GmdxError
@@ -212,7 +212,10 @@ def _serve(function: Callable[[TaskT], ResultT], pipe: Any) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_caller, daemon=True).start()
     logging.getLogger().addHandler(_ToCaller(pipe))
-    pipe.send(("started", None))
+    try:
+        pipe.send(("started", None))
+    except BrokenPipeError:  # the caller was interrupted meanwhile
+        return
     while True:
         try:
             task = pipe.recv()
@@ -241,6 +244,7 @@ def _interrupts_held_back() -> Iterator[None]:
     A terminal sends it to all of them, and one that is still importing would answer with a
     traceback.
     """
+    resource_tracker.ensure_running()  # it would let them through again at its start
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

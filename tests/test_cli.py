@@ -11,6 +11,7 @@ from gmdx.cli import Generate, main
 from gmdx.dataset.store import PARTIAL
 from gmdx.metrics.table import METRICS
 from gmdx.pipeline import GenerateConfig
+from gmdx.terminal import interrupts_kept
 from tests.runs import FLAGS, Command, assert_whole, contents, needs_proc, write_meshes
 
 
@@ -231,6 +232,24 @@ def test_a_reader_that_has_seen_enough_is_no_failure(
     assert command.process.stderr is not None
     assert command.process.stderr.read() == ""
     assert command.process.wait(60) == 0
+
+
+def test_an_interrupt_among_imports_is_not_swallowed() -> None:
+    """Some packages catch everything that comes while they look for another package."""
+    after = []
+
+    def look_for_packages() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException:
+            after.append("swallowed")
+        after.append("imported")
+
+    with pytest.raises(KeyboardInterrupt), interrupts_kept():
+        look_for_packages()
+    assert after == ["imported"]
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 @needs_proc
