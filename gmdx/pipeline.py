@@ -207,8 +207,14 @@ def generate(
 
 def _refuse_another(store: DatasetStore, source: ObjectSource) -> None:
     """Refuse to continue with an object whose source has changed under the same id."""
-    described = read_json(store.objects / source.object_id / OBJECT_FILE)
-    before, now = described["report"]["source"]["sha256"], content_hash(source.path)
+    path = store.objects / source.object_id / OBJECT_FILE
+    try:
+        before = read_json(path)["report"]["source"]["sha256"]
+    except (KeyError, TypeError) as error:
+        raise OutputError(
+            f"{path} is damaged; remove its folder, and the same command makes it anew"
+        ) from error
+    now = content_hash(source.path)
     if before != now:
         raise OutputError(
             f"{store.root} holds {source.object_id!r} made from another content of "

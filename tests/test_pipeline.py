@@ -244,6 +244,9 @@ def test_the_same_id_with_another_content_is_refused(
     path.write_text(path.read_text().replace('"sha256": "', '"sha256": "0'))
     with pytest.raises(OutputError, match="another content"):
         generate(meshes, tmp_path, small_config(cache))
+    path.write_text("{}")
+    with pytest.raises(OutputError, match="is damaged; remove its folder"):
+        generate(meshes, tmp_path, small_config(cache))
 
 
 def test_what_cannot_be_asked_for(cache: Path, tmp_path: Path) -> None:

@@ -133,7 +133,7 @@ def _summary(view: Overview) -> Table:
 
 def _objects(lines: Iterable[ObjectLine]) -> Table:
     table = Table(title="Objects", title_justify="left")
-    table.add_column("object", overflow="fold")
+    table.add_column("object", overflow="fold", min_width=16)
     for name in ("scenes", "grasps", "success", "collides", "median force N", "CPU s", "s/grasp"):
         table.add_column(name, justify="right")
     for line in lines:
