@@ -53,8 +53,12 @@ def complain(text: str) -> None:
 
 @contextlib.contextmanager
 def interrupts_kept() -> Iterator[None]:
-    """Raise a Ctrl-C at the end of what is inside: imports, some of which would swallow it."""
-    if threading.current_thread() is not threading.main_thread():
+    """Raise a Ctrl-C at the end of what is inside: imports, some of which would swallow it.
+
+    Nothing is raised where interrupts are ignored, as for a job in a script's background.
+    """
+    ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    if ignored or threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -234,6 +235,22 @@ def test_a_reader_that_has_seen_enough_is_no_failure(
     assert command.process.wait(60) == 0
 
 
+@pytest.fixture
+def interrupts() -> Iterator[None]:
+    """Ctrl-C as in a terminal, even where the suite runs in a script's background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
+def test_an_interrupt_that_is_ignored_stays_ignored() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with interrupts_kept():
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_an_interrupt_among_imports_is_not_swallowed() -> None:
     """Some packages catch everything that comes while they look for another package."""
     after = []
