@@ -40,7 +40,12 @@ class Pipeline:
         """Prepare the objects once, run the rest with each number of workers, and show both."""
         from gmdx.dataset.read import read_dataset
         from gmdx.pipeline import GenerateConfig, generate
-        from gmdx.studies.throughput import pipeline_figures, rows, worker_figures
+        from gmdx.studies.throughput import (
+            peak_megabytes,
+            pipeline_figures,
+            rows,
+            worker_figures,
+        )
 
         counts = _numbers(self.workers)
         with tempfile.TemporaryDirectory() as folder:
@@ -62,7 +67,12 @@ class Pipeline:
         figures = dataclasses.replace(figures, prepare_seconds=prepared)
         if self.json:
             runs = [dataclasses.asdict(run) for run in compared]
-            values = {**dataclasses.asdict(figures), "total": figures.total, "workers": runs}
+            values = {
+                **dataclasses.asdict(figures),
+                "total": figures.total,
+                "workers": runs,
+                "peak_megabytes": peak_megabytes(),
+            }
             say(json.dumps(values, indent=1))
             return 0
         table = Table("stage", "processor time", title="gmdx bench pipeline")
@@ -71,6 +81,7 @@ class Pipeline:
         for item in compared:
             what = f"{item.wall_seconds:.1f} s on the clock, {item.ratio:.2f} times the first"
             table.add_row(f"{item.workers} workers", what)
+        table.add_row("memory of the largest process", f"{peak_megabytes():.0f} MB at the most")
         console().print(table)
         return 0
 

@@ -3,6 +3,8 @@
 Wall-clock time only enters where several processes are compared.
 """
 
+import resource
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -113,6 +115,13 @@ def worker_figures(run: Callable[[int], None], workers: Sequence[int]) -> list[W
         WorkerFigures(count, wall, seconds[0] / wall)
         for count, wall in zip(workers, seconds, strict=True)
     ]
+
+
+def peak_megabytes() -> float:
+    """The most memory that this process, or one that it started and awaited, ever held, MB."""
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kilobytes elsewhere
+    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return max(resource.getrusage(one).ru_maxrss for one in who) * unit / 1e6
 
 
 def trial_figures(

@@ -3,13 +3,19 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gmdx.cli import main
 from gmdx.dataset.read import read_dataset
 from gmdx.pipeline import generate
 from gmdx.scenes.gripper import load_gripper
-from gmdx.studies.throughput import pipeline_figures, trial_figures, worker_figures
+from gmdx.studies.throughput import (
+    peak_megabytes,
+    pipeline_figures,
+    trial_figures,
+    worker_figures,
+)
 from tests.runs import small_config, write_meshes
 from tests.support import box_object, resting_scene
 
@@ -67,3 +73,8 @@ def test_bench_pipeline_prints_json(meshes: list[Path], capsys: pytest.CaptureFi
     found = json.loads(capsys.readouterr().out)
     assert found["total"] == pytest.approx(sum(found["seconds"].values()))
     assert [run["workers"] for run in found["workers"]] == [1]
+
+
+def test_peak_memory_sees_what_is_held() -> None:
+    held = np.ones(25_000_000)  # 200 MB
+    assert held.nbytes / 1e6 < peak_megabytes() < 20_000
