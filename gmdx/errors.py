@@ -37,6 +37,10 @@ class GraspError(GmdxError):
     """No grasp could be sampled, or a batch of grasps is malformed."""
 
 
+class OutOfDeviceMemory(GmdxError):
+    """An accelerator has no memory left for a batch of this size."""
+
+
 class MetricError(GmdxError):
     """A metric was given values that it is not defined for."""
 
