@@ -29,6 +29,29 @@ def accelerator() -> str | None:
     return None if platform == "cpu" else platform
 
 
+@lru_cache(maxsize=1)
+def cuda_devices() -> int:
+    """How many NVIDIA devices Warp sees; 0 where Warp is not installed."""
+    if find_spec("warp") is None:
+        return 0
+    import warp
+
+    warp.config.log_level = warp.LOG_ERROR  # no banner, and no word of a driver that is not there
+    warp.init()
+    count: int = warp.get_cuda_device_count()
+    return count
+
+
+def has_accelerator() -> bool:
+    """Whether trials can run on an accelerator."""
+    return cuda_devices() > 0 or (accelerator() is not None and find_spec("mujoco.mjx") is not None)
+
+
+def warp_fits() -> bool:
+    """Whether Warp is the better of MJX's implementations: on NVIDIA, and on a plain CPU."""
+    return find_spec("warp") is not None and (cuda_devices() > 0 or accelerator() is None)
+
+
 def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> None:
     """Refuse a name that is neither `auto` nor one of a kernel's implementations.
 

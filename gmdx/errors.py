@@ -37,7 +37,7 @@ class GraspError(GmdxError):
     """No grasp could be sampled, or a batch of grasps is malformed."""
 
 
-class OutOfDeviceMemory(GmdxError):
+class OutOfDeviceMemory(GmdxError):  # noqa: N818
     """An accelerator has no memory left for a batch of this size."""
 
 

@@ -152,7 +152,7 @@ def compute_metrics(
         if name.endswith("_norm"):
             values[name] = values[name.removesuffix("_norm")] / values["bound_l"]
     extra["force_is_lower_bound"] = trials.push_force_is_lower_bound
-    extra["valid_trials"] = (trials.outcome != Outcome.DIVERGED).sum(axis=1)
+    extra["valid_trials"] = (~Outcome.is_failure(trials.outcome)).sum(axis=1)
     extra["outcome"] = np.array([Outcome(o).label for o in trials.outcome[:, 0]], dtype=object)
     return MetricTable(
         values={name: values[name] for name in METRIC_NAMES},
@@ -239,7 +239,7 @@ def motion_metrics(trials: TrialResults) -> dict[str, Array]:
 
 def outcome_metrics(trials: TrialResults) -> dict[str, Array]:
     """Shares over the trials that say something: one that diverged does not."""
-    valid = trials.outcome != Outcome.DIVERGED
+    valid = ~Outcome.is_failure(trials.outcome)
     count = valid.sum(axis=1)
     successes = (trials.outcome == Outcome.SUCCESS).sum(axis=1)
     hits = (trials.collision & valid).any(axis=1)

@@ -33,7 +33,7 @@ from gmdx.studies.bias_parts import PARTS_FOLDER, ReplayProgress, begin, put, ru
 from gmdx.studies.compare import Comparison, compare, most_disputed
 from gmdx.studies.replay import Replay, Run, RunRows, read_parts, runs_of
 from gmdx.studies.truth import TruthRow, truth_table
-from gmdx.trials.run import BACKENDS
+from gmdx.trials.run import open_backend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -260,9 +260,7 @@ def choose(dataset: Dataset, config: BiasConfig) -> Choice:
 
 def _require(backend: str) -> None:
     """Refuse an engine that is not known or not installed, before anything is run."""
-    if backend not in BACKENDS:
-        raise UsageError(f"unknown backend '{backend}': give one of {', '.join(sorted(BACKENDS))}")
-    BACKENDS[backend](1)
+    open_backend(backend)
 
 
 def _its_gripper(dataset: Dataset, gripper: Gripper | None) -> Gripper:

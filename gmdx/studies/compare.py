@@ -213,7 +213,7 @@ def _outcomes(
 ) -> OutcomeAgreement:
     a, b = first.outcomes[both], second.outcomes[both]
     cluster = np.broadcast_to(index[both][:, None], a.shape)
-    valid = (a != Outcome.DIVERGED) & (b != Outcome.DIVERGED)
+    valid = ~(Outcome.is_failure(a) | Outcome.is_failure(b))
     yes_a, yes_b = a == Outcome.SUCCESS, b == Outcome.SUCCESS
     sure = valid[:, 0]
     return OutcomeAgreement(
@@ -267,7 +267,7 @@ def _object(
     metrics: tuple[MetricAgreement, ...],
 ) -> ObjectAgreement:
     a, b = first.outcomes[rows], second.outcomes[rows]
-    valid = (a != Outcome.DIVERGED) & (b != Outcome.DIVERGED)
+    valid = ~(Outcome.is_failure(a) | Outcome.is_failure(b))
     labels = label_agreement(a.ravel(), b.ravel(), classes=_OUTCOMES)
     shares = [
         float((x[valid] == Outcome.SUCCESS).mean()) if valid.any() else np.nan for x in (a, b)

@@ -137,7 +137,7 @@ def measure(setup: Setup) -> dict[str, float | int]:
         "held": int(held.sum()),
         "closed": int(np.isfinite(motion["moved"]).sum()),
         "lower_bounds": int(trials.push_force_is_lower_bound[held].sum()),
-        "diverged": int((trials.outcome == Outcome.DIVERGED).sum()),
+        "diverged": int(Outcome.is_failure(trials.outcome).sum()),
         HULL_COUNT: len(setup.scene.object.hulls),
     }
 

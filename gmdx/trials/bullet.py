@@ -4,17 +4,19 @@ The same schedule, poses and perturbations as on MuJoCo, and the same rules for 
 is called; it runs one trial at a time, each in a world that is built anew.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 
 import numpy as np
 
-from gmdx.arrays import Array, Float
+from gmdx.arrays import Array, Float, Int
 from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import ContactSensors, grasp_model
 from gmdx.trials.batch import RawTrials, TrialBatch
 from gmdx.trials.bullet_world import BulletConfig, BulletWorld
-from gmdx.trials.execute import Execution
+from gmdx.trials.execute import Execution, stretch
+from gmdx.trials.frames import Stretch
 from gmdx.trials.protocol import TrialConfig
 
 
@@ -29,18 +31,21 @@ class BulletBackend:
         """Name and version."""
         return f"pybullet {version('pybullet')}"
 
-    def run(self, batch: TrialBatch, *, config: TrialConfig) -> RawTrials:
+    def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
         """Run every trial to its named end, one after the other."""
+        return [self._run(batch, config) for batch in batches]
+
+    def _run(self, batch: TrialBatch, config: TrialConfig) -> RawTrials:
         scene = grasp_model(batch.object, batch.gripper, config.physics)
-        schedule = batch.schedule(config)
+        schedules = [batch.schedule(config)]
         world = BulletWorld(scene, batch.object, config, self.config)
         try:
             engine = _Engine(world)
-            found = [Execution(engine, batch[:0], config).results()]
+            found = Execution(engine, [batch[:0]], config).results()
             for row in range(len(batch)):
-                trial = Execution(engine, batch[row : row + 1], config)
-                trial.run(schedule)
-                found.append(trial.results())
+                trial = Execution(engine, [batch[row : row + 1]], config)
+                trial.run(schedules)
+                found += trial.results()
         finally:
             world.close()
         return _joined(found)
@@ -70,22 +75,24 @@ class _Engine:
 
     def step(
         self,
+        rows: Int[Array, "a"],
         state: Float[Array, "a n"],
         control: Float[Array, "a s 3"],
         force: Float[Array, "s 3"],
-    ) -> tuple[Float[Array, "a s n"], Float[Array, "a s d"]]:
+        count: Int[Array, "a"],
+    ) -> Stretch:
         steps, nq = control.shape[1], self.size[0]
+        timestep = self.world.physics.timestep
         states = np.full((1, steps, state.shape[1]), np.nan)
         sensors = np.zeros((1, steps, self.sensor_count))
-        if not np.isfinite(state).all():
-            return states, sensors
-        if state[0, 0] == 0.0:
-            self.world.reset(state[0, 1 : 1 + nq])
-        for step in range(steps):
-            sensors[0, step] = self.world.step(control[0, step], force[step])
-            states[0, step, 1 : 1 + nq], states[0, step, 1 + nq :] = self.world.state()
-        states[0, :, 0] = state[0, 0] + self.world.physics.timestep * np.arange(1, steps + 1)
-        return states, sensors
+        if np.isfinite(state).all():
+            if state[0, 0] == 0.0:
+                self.world.reset(state[0, 1 : 1 + nq])
+            for step in range(steps):
+                sensors[0, step] = self.world.step(control[0, step], force[step])
+                states[0, step, 1 : 1 + nq], states[0, step, 1 + nq :] = self.world.state()
+            states[0, :, 0] = state[0, 0] + timestep * np.arange(1, steps + 1)
+        return stretch(state, states, sensors, self, timestep)
 
 
 def _joined(parts: list[RawTrials]) -> RawTrials:

@@ -6,17 +6,17 @@ decided here alone, from states and contacts: engines differ in nothing but how 
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
-from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, OBJECT_QPOS, ContactSensors
+from gmdx.scenes.build import HEIGHT_QPOS, OBJECT_QPOS, ContactSensors
 from gmdx.trials import frames
 from gmdx.trials.batch import RawTrials, TrialBatch
-from gmdx.trials.frames import Frames
+from gmdx.trials.frames import Digest, Stretch
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import Phase, Schedule, TrialConfig
 from gmdx.trials.results import Snapshot
@@ -48,36 +48,43 @@ class Engine(Protocol):
 
     def step(
         self,
+        rows: Int[Array, "a"],
         state: Float[Array, "a n"],
         control: Float[Array, "a s 3"],
         force: Float[Array, "s 3"],
-    ) -> tuple[Float[Array, "a s n"], Float[Array, "a s d"]]:
-        """States after, and sensors at the start of, each of s steps from `state`.
+        count: Int[Array, "a"],
+    ) -> Stretch:
+        """Run each trial for its number of steps, at most s.
 
         Args:
+            rows: Which trials of the batches these are.
             state: A time of 0 is a trial's start.
-            control: As of `Phase.controls`.
+            control: As of `Phase.controls`; of no meaning after a trial's last step.
             force: N, on the object's centre of mass.
+            count: Steps to run, at least 1; the same for trials of one batch.
         """
         ...
 
 
-_Observe = Callable[[Int[Array, "a"], Frames, slice], Bool[Array, "a"]]
+_Observe = Callable[[Int[Array, "a"], Digest, Int[Array, "a"], slice], Bool[Array, "a"]]
 
 
 class Execution:
-    """The running state of a batch; rows are trials, `ended` ones have an outcome."""
+    """The running state of some batches; rows are their trials, one batch after the other.
 
-    def __init__(
-        self,
-        engine: Engine,
-        batch: TrialBatch,
-        config: TrialConfig,
-    ) -> None:
-        self.engine, self.batch, self.config = engine, batch, config
+    A trial runs its own batch's schedule and sees nothing of the other trials.
+    """
+
+    def __init__(self, engine: Engine, batches: Sequence[TrialBatch], config: TrialConfig) -> None:
+        self.engine, self.batches, self.config = engine, tuple(batches), config
         self.layout = engine.sensors
         self.nq, nv = engine.size
-        count = len(batch)
+        sizes = [len(batch) for batch in batches]
+        count = sum(sizes)
+        self.batch_of = np.repeat(np.arange(len(sizes)), sizes)
+        self.mass = np.repeat([batch.object.mass for batch in batches], sizes)
+        self.grasp_height = _joined(batches, "grasp_height")
+        self.start_height = _joined(batches, "start_height")
         self.state = np.zeros((count, 1 + self.nq + nv))  # time, qpos, qvel
         self.qpos_at_sensors = np.zeros((count, self.nq))
         self.sensors = np.zeros((count, engine.sensor_count))
@@ -97,75 +104,88 @@ class Execution:
         self.push_failed = np.zeros(count, bool)
         self.force = np.zeros(count)
         self.lower_bound = np.zeros(count, bool)
-        self.steps = 0
+        self.steps = np.zeros(count, int)
         self.step_seconds = 0.0
 
-    def run(self, schedule: Schedule) -> None:
-        """All phases in turn."""
+    def run(self, schedules: Sequence[Schedule]) -> None:
+        """All phases in turn, each batch by its own schedule."""
         self._start()
-        self._live(schedule.approach, self._watch_approach)
+        self._live([schedule.approach for schedule in schedules], self._watch_approach)
         self._snapshot(Snapshot.CLOSING)
-        self._live(schedule.close, self._watch_closing)
+        self._live([schedule.close for schedule in schedules], self._watch_closing)
         self._snapshot(Snapshot.CLOSED)
         self._read_grip()
-        self._live(schedule.lift, self._watch_lift)
-        self._live(schedule.hold, self._watch_hold)
+        self._live([schedule.lift for schedule in schedules], self._watch_lift)
+        self._live([schedule.hold for schedule in schedules], self._watch_hold)
         self._snapshot(Snapshot.HELD)
         self._judge()
-        self._push(schedule.push)
+        self._push([schedule.push for schedule in schedules])
 
-    def results(self) -> RawTrials:
-        """What was measured; after `run`."""
-        unknown = (self.outcome == Outcome.DIVERGED) | self.push_failed
-        return RawTrials(
-            outcome=self.outcome,
-            collision=self.collision,
-            object_pose=self.pose,
-            tool_height=self.height,
-            contacts=PadContacts(self.points, self.normals, self.valid),
-            opening=self.opening,
-            push_force=np.where(unknown, np.nan, self.force),
-            push_force_is_lower_bound=self.lower_bound & ~unknown,
-            steps=self.steps,
-            step_seconds=self.step_seconds,
-        )
+    def results(self) -> list[RawTrials]:
+        """What was measured, a record a batch; after `run`."""
+        unknown = Outcome.is_failure(self.outcome) | self.push_failed
+        per_step = self.step_seconds / max(self.steps.sum(), 1)
+        return [
+            RawTrials(
+                outcome=self.outcome[rows],
+                collision=self.collision[rows],
+                object_pose=self.pose[rows],
+                tool_height=self.height[rows],
+                contacts=PadContacts(self.points[rows], self.normals[rows], self.valid[rows]),
+                opening=self.opening[rows],
+                push_force=np.where(unknown, np.nan, self.force)[rows],
+                push_force_is_lower_bound=(self.lower_bound & ~unknown)[rows],
+                steps=int(self.steps[rows].sum()),
+                step_seconds=float(self.steps[rows].sum() * per_step),
+            )
+            for rows in (self.batch_of == number for number in range(len(self.batches)))
+        ]
 
     # Phases
 
     def _start(self) -> None:
-        qpos = np.zeros((len(self.batch), self.nq))
-        qpos[:, OBJECT_QPOS] = self.batch.object_pose
-        qpos[:, HEIGHT_QPOS] = self.batch.start_height
-        qpos[:, self.engine.finger_qpos] = self.batch.gripper.finger_positions(self.batch.opening)
+        qpos = np.zeros((len(self.batch_of), self.nq))
+        qpos[:, OBJECT_QPOS] = _joined(self.batches, "object_pose")
+        qpos[:, HEIGHT_QPOS] = self.start_height
+        openings = [batch.gripper.finger_positions(batch.opening) for batch in self.batches]
+        qpos[:, self.engine.finger_qpos] = np.concatenate(openings)
         self.state[:, 1 : 1 + self.nq] = qpos
         self._snapshot(Snapshot.START)
 
-    def _watch_approach(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_approach(
+        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+    ) -> Bool[Array, "a"]:
         """A touch by anything but a pad's face ends the trial."""
-        collided = frames.collides(steps, self.layout)
+        collided = _any(steps.collides, count)
         self.collision[rows] |= collided
         self.outcome[rows[collided]] = Outcome.COLLISION_IN_APPROACH
         return collided
 
-    def _watch_closing(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_closing(
+        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+    ) -> Bool[Array, "a"]:
         """The phase ends early where neither fingers nor object move any more."""
-        self.touched[rows] |= frames.touches(steps, self.layout)
-        return self._still(steps)
+        self.touched[rows] |= _any(steps.touches, count)
+        return self._still(rows)
 
-    def _watch_lift(self, rows: Int[Array, "a"], steps: Frames, _: slice) -> Bool[Array, "a"]:
+    def _watch_lift(
+        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+    ) -> Bool[Array, "a"]:
         """An object that no pad touches any more will not come back."""
-        lost = frames.lets_go(steps, self.layout)
+        lost = frames.lets_go(steps, count)
         self.outcome[rows[lost]] = Outcome.LOST_IN_LIFT
         return lost
 
-    def _watch_hold(self, rows: Int[Array, "a"], steps: Frames, span: slice) -> Bool[Array, "a"]:
-        return self._watch_lift(rows, steps, span) | self._still(steps)
+    def _watch_hold(
+        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], span: slice
+    ) -> Bool[Array, "a"]:
+        return self._watch_lift(rows, steps, count, span) | self._still(rows)
 
     def _read_grip(self) -> None:
         """Contacts and opening at the end of closing; trials without a grip end here."""
         alive = np.flatnonzero(self._alive())
         fingers = self.state[alive, 1:][:, self.engine.finger_qpos]
-        self.opening[alive] = self.batch.gripper.opening(fingers)
+        self.opening[alive] = self.batches[0].gripper.opening(fingers)
         # Sensors belong to the start of their step, so they go with the pose before it.
         pose = self.qpos_at_sensors[alive, OBJECT_QPOS]
         contacts = frames.pad_contacts(self.sensors[alive], pose, self.layout)
@@ -187,9 +207,9 @@ class Execution:
         self.outcome[alive & held] = Outcome.SUCCESS
         self.outcome[alive & ~held] = Outcome.LOST_IN_LIFT
 
-    def _push(self, phase: Phase) -> None:
+    def _push(self, phases: Sequence[Phase]) -> None:
         """Push the nominal trial's object with a growing force until it slips out."""
-        rows = np.flatnonzero(self.batch.nominal & (self.outcome == Outcome.SUCCESS))
+        rows = np.flatnonzero(_joined(self.batches, "nominal") & (self.outcome == Outcome.SUCCESS))
         direction = np.array(self.config.push_direction)
 
         def along(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -197,34 +217,37 @@ class Execution:
             component: Array = np.einsum("...i,i->...", vectors, direction)
             return component
 
-        strength = along(phase.force)
+        strength = along(phases[0].force)
         offset = along(frames.from_tool(self.state[:, 1 : 1 + self.nq]))
 
-        mass, dt = self.batch.object.mass, self.config.physics.timestep
+        dt = self.config.physics.timestep
         last_velocity = along(self.state[:, 1 + self.nq :][:, :3])
 
-        def watch(rows: Int[Array, "a"], steps: Frames, span: slice) -> Bool[Array, "a"]:
-            moved = along(frames.from_tool(steps.qpos)) - offset[rows, None]
-            velocity = along(steps.qvel[..., :3])
-            slip = velocity - steps.qvel[..., HEIGHT_QVEL] * direction[2]
-            out = (slip > self.config.slip_speed) & (moved > self.config.push_distance)
-            first = np.where(out.any(axis=1), out.argmax(axis=1), out.shape[1])
+        def watch(
+            rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], span: slice
+        ) -> Bool[Array, "a"]:
+            ran = frames.within(count, steps.rise.shape[1])
+            moved = along(steps.offset) - offset[rows, None]
+            velocity = along(steps.velocity)
+            slip = velocity - steps.rise * direction[2]
+            out = ran & (slip > self.config.slip_speed) & (moved > self.config.push_distance)
+            first = np.where(out.any(axis=1), out.argmax(axis=1), count)
             # The grip bore the force less what already accelerated the object, as long as
             # the object did not slip.
             change = np.diff(velocity, axis=1, prepend=last_velocity[rows, None])
-            bore = strength[span] - mass * change / dt
-            last_velocity[rows] = velocity[:, -1]
-            held = (np.arange(out.shape[1]) < first[:, None]) & (slip <= self.config.slip_speed)
+            bore = strength[span] - self.mass[rows, None] * change / dt
+            last_velocity[rows] = velocity[np.arange(len(rows)), count - 1]
+            held = frames.within(first, out.shape[1]) & (slip <= self.config.slip_speed)
             last = held.shape[1] - 1 - held[:, ::-1].argmax(axis=1)
             some = held.any(axis=1)
             self.held_force[rows[some]] = bore[some, last[some]].clip(min=0.0)
-            ended: Array = first < out.shape[1]
+            ended: Array = first < count
             self.pushed_out[rows] |= ended
             return ended
 
         # What is out may be fast, and a push that fails takes no success away.
-        failed = self._advance(phase, watch, rows, fastest=np.inf)
-        self.push_failed[failed] = True
+        failed, overflowed = self._advance(phases, watch, rows, fastest=np.inf)
+        self.push_failed[failed] = self.push_failed[overflowed] = True
         out = self.pushed_out[rows]
         self.force[rows] = np.where(out, self.held_force[rows], strength[-1])
         self.lower_bound[rows] = ~out
@@ -232,49 +255,67 @@ class Execution:
     # Stepping
 
     def _advance(
-        self, phase: Phase, observe: _Observe, rows: Int[Array, "a"], *, fastest: float
-    ) -> Int[Array, "f"]:
+        self,
+        phases: Sequence[Phase],
+        observe: _Observe,
+        rows: Int[Array, "a"],
+        *,
+        fastest: float,
+    ) -> tuple[Int[Array, "f"], Int[Array, "o"]]:
         """Step rows through a phase until it, or what `observe` watches for, ends.
 
-        Returns the rows whose simulation failed; nothing else sees them.
+        Returns the rows whose simulation failed, and those for which the engine had too little
+        memory; nothing else sees them.
         """
-        nq, dt = self.nq, self.config.physics.timestep
-        failed = []
-        for start in range(0, len(phase), self.config.chunk):
+        lengths = np.array([len(phase) for phase in phases])
+        failed, overflowed = [], []
+        for start in range(0, int(lengths.max()), self.config.chunk):
+            rows = rows[lengths[self.batch_of[rows]] > start]
             if len(rows) == 0:
                 break
-            span = slice(start, min(start + self.config.chunk, len(phase)))
-            states, sensors = self._step(rows, phase, span)
-            steps = Frames(states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors)
-            # An engine's clock stops where it fails: bad numbers, or memory that ran out.
-            elapsed = states[:, -1, 0] - self.state[rows, 0]
-            frozen = ~(elapsed > (states.shape[1] - 0.5) * dt)
-            sane = ~frozen & frames.sane(steps, fastest=fastest)
-            failed.append(rows[~sane])
-            rows, steps, states = rows[sane], steps[sane], states[sane]
-            before = states[:, -2] if states.shape[1] > 1 else self.state[rows]
-            self.qpos_at_sensors[rows] = before[:, 1 : 1 + nq]
-            self.sensors[rows] = steps.sensors[:, -1]
-            self.state[rows] = states[:, -1]
-            rows = rows[~observe(rows, steps, span)]
-        return np.concatenate([np.zeros(0, int), *failed])
+            count = np.minimum(lengths[self.batch_of[rows]] - start, self.config.chunk)
+            span = slice(start, start + int(count.max()))
+            found = self._step(rows, phases, span, count)
+            steps = found.steps
+            ran = frames.within(count, steps.speed.shape[1])
+            wild = found.failed | ~np.all((steps.speed < fastest) | ~ran, axis=1)
+            sane = ~wild & ~found.overflowed
+            overflowed.append(rows[found.overflowed])
+            failed.append(rows[wild & ~found.overflowed])
+            rows, steps, count = rows[sane], steps[sane], count[sane]
+            self.qpos_at_sensors[rows] = found.qpos_at_sensors[sane]
+            self.sensors[rows] = found.sensors[sane]
+            self.state[rows] = found.state[sane]
+            rows = rows[~observe(rows, steps, count, span)]
+        none = np.zeros(0, int)
+        return np.concatenate([none, *failed]), np.concatenate([none, *overflowed])
 
-    def _live(self, phase: Phase, observe: _Observe) -> None:
-        """Step every living row through a phase; those that fail have diverged."""
+    def _live(self, phases: Sequence[Phase], observe: _Observe) -> None:
+        """Step every living row through a phase; those that fail get the failure's name."""
         rows = np.flatnonzero(self._alive())
-        failed = self._advance(phase, observe, rows, fastest=self.config.mad_speed)
+        failed, overflowed = self._advance(phases, observe, rows, fastest=self.config.mad_speed)
         self.outcome[failed] = Outcome.DIVERGED
+        self.outcome[overflowed] = Outcome.OVERFLOWED
 
     def _step(
-        self, rows: Int[Array, "a"], phase: Phase, steps: slice
-    ) -> tuple[Float[Array, "a s n"], Float[Array, "a s d"]]:
-        batch = self.batch
-        control = phase.controls(batch.grasp_height[rows], batch.start_height[rows])[:, steps]
+        self, rows: Int[Array, "a"], phases: Sequence[Phase], span: slice, count: Int[Array, "a"]
+    ) -> Stretch:
+        """One call of the engine, each trial with its own batch's controls."""
+        width = span.stop - span.start
+        control = np.zeros((len(rows), width, 3))
+        force = np.zeros((width, 3))
+        for number in np.unique(self.batch_of[rows]):
+            mine = self.batch_of[rows] == number
+            heights = self.grasp_height[rows[mine]], self.start_height[rows[mine]]
+            given = phases[number].controls(*heights, span)
+            control[mine, : given.shape[1]] = given
+            part = phases[number].force[span]
+            force[: len(part)] = part
         begin = time.perf_counter()
-        stepped = self.engine.step(self.state[rows], control, phase.force[steps])
+        found = self.engine.step(rows, self.state[rows], control, force, count)
         self.step_seconds += time.perf_counter() - begin
-        self.steps += len(rows) * control.shape[1]
-        return stepped
+        self.steps[rows] += count
+        return found
 
     # Reading
 
@@ -288,5 +329,48 @@ class Execution:
         self.pose[alive, moment] = qpos[:, OBJECT_QPOS]
         self.height[alive, moment] = qpos[:, HEIGHT_QPOS]
 
-    def _still(self, steps: Frames) -> Bool[Array, "a"]:
-        return frames.still(steps, speed=self.config.still_speed, spin=self.config.still_spin)
+    def _still(self, rows: Int[Array, "a"]) -> Bool[Array, "a"]:
+        qvel = self.state[rows, 1 + self.nq :]
+        return frames.still(qvel, speed=self.config.still_speed, spin=self.config.still_spin)
+
+
+def _joined(batches: Sequence[TrialBatch], name: str) -> Array:
+    """One array of every batch, trial after trial."""
+    return np.concatenate([getattr(batch, name) for batch in batches])
+
+
+def _any(flags: Bool[Array, "n s"], count: Int[Array, "n"]) -> Bool[Array, "n"]:
+    """Whether a flag was up in any step that a trial was to run."""
+    up: Array = np.any(flags & frames.within(count, flags.shape[1]), axis=1)
+    return up
+
+
+def stretch(
+    start: Float[Array, "n d"],
+    states: Float[Array, "n s d"],
+    sensors: Float[Array, "n s k"],
+    engine: Engine,
+    timestep: float,
+) -> Stretch:
+    """What an engine that keeps every step hands back, all of its trials having run all steps.
+
+    Args:
+        start: The states before the first step.
+        states: After each step; an engine's clock stops where it fails.
+        sensors: At the start of each step.
+        engine: For the layout of both.
+        timestep: s.
+    """
+    nq, steps = engine.size[0], states.shape[1]
+    before = states[:, -2] if steps > 1 else start
+    elapsed = states[:, -1, 0] - start[:, 0]
+    return Stretch(
+        state=states[:, -1],
+        qpos_at_sensors=before[:, 1 : 1 + nq],
+        sensors=sensors[:, -1],
+        failed=~(elapsed > (steps - 0.5) * timestep),
+        overflowed=np.zeros(len(states), bool),
+        steps=frames.digest(
+            states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors, engine.sensors
+        ),
+    )

@@ -1,70 +1,110 @@
-"""Reading a stretch of simulated steps: pure functions that every MuJoCo-like backend shares."""
+"""What the outcome rules look at: pure functions of states and contact sensors, for every engine.
 
-from dataclasses import dataclass
+`digest` takes NumPy arrays and JAX's alike, so that an engine on an accelerator hands back a few
+numbers a step, and not its states.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from gmdx.arrays import Array, Bool, Float
+from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.geometry import quaternion_matrix
 from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, SLOT_SIZE, ContactSensors
 
-_FACE_COSINE = np.cos(np.pi / 4)  # a contact this close to the closing axis is on a pad's face
+FACE_COSINE = float(np.cos(np.pi / 4))  # so close to the closing axis is on a pad's face
 _RECENT = 5  # steps: contacts may bounce for one or two
 _FOUND, _FORCE, _POSITION, _NORMAL = 0, 1, slice(5, 8), slice(8, 11)  # in a pad's slot
 
 
 @dataclass(frozen=True)
-class Frames:
-    """States after, and sensors at the start of, each of s steps of n trials."""
+class Digest:
+    """All that the rules look at in each of s steps of n trials."""
 
-    qpos: Float[Array, "n s q"]
-    qvel: Float[Array, "n s v"]
-    sensors: Float[Array, "n s d"]
+    collides: Bool[Array, "n s"]  # not a pad's face touches the object, or the hand the table
+    touches: Bool[Array, "n s"]  # any part of the gripper touches the object
+    presses: Bool[Array, "n s"]  # a pad's contact with the object carries force
+    speed: Float[Array, "n s"]  # m/s, the fastest, the object's spin aside; inf if not finite
+    offset: Float[Array, "n s 3"]  # m, of the object from the tool point
+    velocity: Float[Array, "n s 3"]  # m/s, of the object
+    rise: Float[Array, "n s"]  # m/s, of the tool point
 
-    def __getitem__(self, rows: Bool[Array, "n"]) -> "Frames":
-        return Frames(self.qpos[rows], self.qvel[rows], self.sensors[rows])
+    def __getitem__(self, rows: Bool[Array, "n"]) -> "Digest":
+        return Digest(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
-def pad_slots(
-    sensors: Float[Array, "*n d"], layout: ContactSensors
-) -> tuple[Float[Array, "*n k s"], Float[Array, "*n k s"]]:
-    """The contact slots of both pads."""
+@dataclass(frozen=True)
+class Stretch:
+    """Some steps of n trials: where they ended, and what the rules look at on the way there."""
+
+    state: Float[Array, "n d"]  # time, qpos, qvel after each trial's last step
+    qpos_at_sensors: Float[Array, "n q"]  # before its last step, where sensors belong
+    sensors: Float[Array, "n k"]  # at the start of its last step
+    failed: Bool[Array, "n"]  # the engine gave up
+    overflowed: Bool[Array, "n"]  # the engine's buffers for contacts or constraints were too small
+    steps: Digest  # only the steps that a trial was to run mean anything
+
+
+def pad_slots(sensors: Any, layout: ContactSensors) -> tuple[Any, Any]:
+    """The contact slots of both pads, (..., slots, SLOT_SIZE), from sensors (..., d)."""
     shape = (*sensors.shape[:-1], layout.slots, SLOT_SIZE)
     return sensors[..., layout.pads[0]].reshape(shape), sensors[..., layout.pads[1]].reshape(shape)
 
 
-def collides(frames: Frames, layout: ContactSensors) -> Bool[Array, "n"]:
-    """Whether anything but a pad's face touched the object, or the gripper the table."""
-    hit = frames.sensors[..., layout.hand_table] > 0
-    by_pads = np.zeros(hit.shape)
-    for slots in pad_slots(frames.sensors, layout):
-        by_pads += slots[..., 0, _FOUND]
-        off_face = np.abs(slots[..., _NORMAL.start]) < _FACE_COSINE
-        hit |= np.any(off_face & (slots[..., _FOUND] > 0), axis=-1)
-    hit |= frames.sensors[..., layout.hand] > by_pads
-    collided: Array = np.any(hit, axis=1)
-    return collided
+def pads_press(sensors: Any, layout: ContactSensors) -> Any:
+    """Whether any contact of each pad with the object carries force, (..., 2)."""
+    first, second = pad_slots(sensors, layout)
+    xp = sensors.__array_namespace__()
+    return xp.stack([slots[..., _FORCE].max(axis=-1) > 0 for slots in (first, second)], axis=-1)
 
 
-def touches(frames: Frames, layout: ContactSensors) -> Bool[Array, "n"]:
-    """Whether any part of the gripper touched the object in any of the steps."""
-    touched: Array = np.any(frames.sensors[..., layout.hand] > 0, axis=1)
-    return touched
+def digest(qpos: Any, qvel: Any, sensors: Any, layout: ContactSensors) -> Digest:
+    """Steps as the rules see them.
 
-
-def pads_press(sensors: Float[Array, "n d"], layout: ContactSensors) -> Bool[Array, "n 2"]:
-    """Whether any contact of each pad with the object carries force."""
-    return np.stack(
-        [slots[..., _FORCE].max(axis=-1) > 0 for slots in pad_slots(sensors, layout)], axis=-1
+    Args:
+        qpos: (..., q), after each step, of NumPy or of JAX.
+        qvel: (..., v), after each step.
+        sensors: (..., d), at the start of each step.
+        layout: Where the sensors' numbers lie.
+    """
+    xp = sensors.__array_namespace__()
+    slots = pad_slots(sensors, layout)
+    off_face = [
+        xp.any((xp.abs(pad[..., _NORMAL.start]) < FACE_COSINE) & (pad[..., _FOUND] > 0), axis=-1)
+        for pad in slots
+    ]
+    by_pads = slots[0][..., 0, _FOUND] + slots[1][..., 0, _FOUND]
+    hand = sensors[..., layout.hand]
+    linear = xp.concatenate([qvel[..., :3], qvel[..., 6:]], axis=-1)
+    finite = xp.isfinite(qpos).all(axis=-1) & xp.isfinite(qvel).all(axis=-1)
+    return Digest(
+        collides=(sensors[..., layout.hand_table] > 0)
+        | off_face[0]
+        | off_face[1]
+        | (hand > by_pads),
+        touches=hand > 0,
+        presses=xp.any(pads_press(sensors, layout), axis=-1),
+        speed=xp.where(finite, xp.abs(linear).max(axis=-1), xp.inf),
+        offset=from_tool(qpos),
+        velocity=qvel[..., :3],
+        rise=qvel[..., HEIGHT_QVEL],
     )
 
 
-def lets_go(frames: Frames, layout: ContactSensors) -> Bool[Array, "n"]:
+def within(count: Int[Array, "n"], steps: int) -> Bool[Array, "n s"]:
+    """Which of so many steps a trial was to run."""
+    inside: Array = np.arange(steps) < count[:, None]
+    return inside
+
+
+def lets_go(steps: Digest, count: Int[Array, "n"]) -> Bool[Array, "n"]:
     """Whether no pad pressed on the object in any of the last steps."""
-    count, steps, size = frames.sensors[:, -_RECENT:].shape
-    press = pads_press(frames.sensors[:, -_RECENT:].reshape(count * steps, size), layout)
-    gone: Array = ~np.any(press.reshape(count, -1), axis=1)
+    ran = within(count, steps.presses.shape[1])
+    recent = ran & ~within(count - _RECENT, steps.presses.shape[1])
+    gone: Array = ~np.any(steps.presses & recent, axis=1)
     return gone
 
 
@@ -90,15 +130,15 @@ def pad_contacts(
     return PadContacts(np.stack(points, 1), np.stack(normals, 1), np.stack(valid, 1))
 
 
-def still(frames: Frames, *, speed: float, spin: float) -> Bool[Array, "n"]:
-    """Nothing moves at the end of the steps, the gripper's own rise aside.
+def still(qvel: Float[Array, "n v"], *, speed: float, spin: float) -> Bool[Array, "n"]:
+    """Nothing moves, the gripper's own rise aside.
 
     Args:
-        frames: The steps.
+        qvel: At one moment.
         speed: m/s, of the object relative to the gripper and of the fingers: slower is still.
         spin: rad/s, of the object: slower is still.
     """
-    last = frames.qvel[:, -1].copy()
+    last = qvel.copy()
     last[:, 2] -= last[:, HEIGHT_QVEL]
     fastest = np.maximum(
         np.linalg.norm(last[:, :3], axis=1), np.abs(last[:, HEIGHT_QVEL + 1 :]).max(axis=1)
@@ -107,17 +147,19 @@ def still(frames: Frames, *, speed: float, spin: float) -> Bool[Array, "n"]:
     return quiet
 
 
-def sane(frames: Frames, *, fastest: float) -> Bool[Array, "n"]:
-    """Every state is finite, and nothing moves faster than `fastest` m/s."""
-    finite = np.isfinite(frames.qpos).all(axis=(1, 2)) & np.isfinite(frames.qvel).all(axis=(1, 2))
-    linear = np.delete(frames.qvel, [3, 4, 5], axis=2)  # the object's spin aside
-    calm = np.abs(np.nan_to_num(linear, nan=np.inf)).max(axis=(1, 2)) < fastest
-    well: Array = finite & calm
-    return well
+def from_tool(qpos: Any) -> Any:
+    """The object's position relative to the tool point, (..., 3) m, from qpos (..., q)."""
+    xp = qpos.__array_namespace__()
+    height = qpos[..., HEIGHT_QPOS]
+    return xp.stack([qpos[..., 0], qpos[..., 1], qpos[..., 2] - height], axis=-1)
 
 
-def from_tool(qpos: Float[Array, "*n q"]) -> Float[Array, "*n 3"]:
-    """The object's position relative to the tool point, m."""
-    offset: Array = qpos[..., :3].copy()
-    offset[..., 2] -= qpos[..., HEIGHT_QPOS]
-    return offset
+def joined(parts: Sequence[Stretch]) -> Stretch:
+    """Trials one after the other."""
+
+    def both(name: str, records: Sequence[Any]) -> Array:
+        return np.concatenate([getattr(record, name) for record in records])
+
+    steps = [part.steps for part in parts]
+    arrays = {item.name: both(item.name, parts) for item in fields(Stretch) if item.name != "steps"}
+    return Stretch(**arrays, steps=Digest(**{f.name: both(f.name, steps) for f in fields(Digest)}))

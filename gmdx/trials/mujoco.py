@@ -4,17 +4,19 @@ A trial's numbers depend on itself alone: not on the batch it runs in, nor on th
 threads.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
-from gmdx.arrays import Array, Float
+from gmdx.arrays import Array, Float, Int
 from gmdx.scenes.build import ContactSensors, GraspModel, grasp_model
 from gmdx.scenes.engine import quiet_warnings
 from gmdx.trials.batch import RawTrials, TrialBatch
-from gmdx.trials.execute import Execution
+from gmdx.trials.execute import Execution, stretch
+from gmdx.trials.frames import Stretch
 from gmdx.trials.protocol import TrialConfig
 
 
@@ -29,13 +31,16 @@ class MujocoBackend:
         """Name and version."""
         return f"mujoco {mujoco.__version__}"
 
-    def run(self, batch: TrialBatch, *, config: TrialConfig) -> RawTrials:
-        """Run every trial to its named end."""
-        scene = grasp_model(batch.object, batch.gripper, config.physics)
-        with quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
-            trials = Execution(_Engine(scene, pool, self.threads), batch, config)
-            trials.run(batch.schedule(config))
-        return trials.results()
+    def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
+        """Run every trial to its named end, one batch after the other."""
+        found = []
+        for batch in batches:
+            scene = grasp_model(batch.object, batch.gripper, config.physics)
+            with quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
+                trials = Execution(_Engine(scene, pool, self.threads), [batch], config)
+                trials.run([batch.schedule(config)])
+            found += trials.results()
+        return found
 
 
 class _Engine:
@@ -64,10 +69,12 @@ class _Engine:
 
     def step(
         self,
+        rows: Int[Array, "a"],
         state: Float[Array, "a n"],
         control: Float[Array, "a s 3"],
         force: Float[Array, "s 3"],
-    ) -> tuple[Float[Array, "a s n"], Float[Array, "a s d"]]:
+        count: Int[Array, "a"],
+    ) -> Stretch:
         model = self.scene.model
         spec = mujoco.mjtState.mjSTATE_CTRL
         if np.any(force):
@@ -83,4 +90,4 @@ class _Engine:
             control_spec=int(spec),
             initial_warmstart=np.zeros((len(state), model.nv)),
         )
-        return states, sensors
+        return stretch(state, states, sensors, self, model.opt.timestep)

@@ -88,15 +88,22 @@ class Phase:
         return len(self.height)
 
     def controls(
-        self, grasp_height: Float[Array, "n"], start_height: Float[Array, "n"]
+        self,
+        grasp_height: Float[Array, "n"],
+        start_height: Float[Array, "n"],
+        steps: slice = slice(None),
     ) -> Float[Array, "n s 3"]:
-        """Tool height (m), its speed (m/s) and closing speed (m/s) of n trials at every step."""
+        """Tool height (m), its speed (m/s) and closing speed (m/s) of n trials at some steps."""
         drop = (start_height - grasp_height)[:, None]
-        height = grasp_height[:, None] + drop * self.approach + self.height
-        speed = drop * self.approach_rate + self.speed
-        acceleration = np.diff(speed, axis=1, prepend=0.0) / self.timestep
-        height = height + self.lead * acceleration
-        return np.stack([height, speed, np.broadcast_to(self.closing, height.shape)], axis=-1)
+        first, last, _ = steps.indices(len(self))
+        height = grasp_height[:, None] + drop * self.approach[steps] + self.height[steps]
+        before = slice(max(first - 1, 0), last)  # the phase starts at rest
+        speed = drop * self.approach_rate[before] + self.speed[before]
+        rest = np.zeros((len(drop), 0 if first else 1))
+        acceleration = np.diff(np.concatenate([rest, speed], axis=1), axis=1) / self.timestep
+        height, speed = height + self.lead * acceleration, speed[:, -height.shape[1] :]
+        closing = np.broadcast_to(self.closing[steps], height.shape)
+        return np.stack([height, speed, closing], axis=-1)
 
 
 @dataclass(frozen=True)

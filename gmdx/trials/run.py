@@ -1,17 +1,19 @@
 """Running trials: one entry for every backend."""
 
 import contextlib
+import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol, overload, runtime_checkable
 
 import numpy as np
 
 from gmdx.arrays import Array, Int
+from gmdx.devices import has_accelerator, warp_fits
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.gripper import Gripper, load_gripper
@@ -20,19 +22,62 @@ from gmdx.trials.batch import RawTrials, TrialBatch, place, to_world
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
 
+_LOG = logging.getLogger("gmdx")
+
 
 @runtime_checkable
 class Backend(Protocol):
-    """An engine that runs the schedule of `protocol` on a batch of trials."""
+    """An engine that runs the schedule of `protocol` on batches of trials."""
 
     @property
     def version(self) -> str:
         """The engine's name and version, as datasets record it."""
         ...
 
-    def run(self, batch: TrialBatch, *, config: TrialConfig) -> RawTrials:
-        """Run every trial to its named end."""
+    def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
+        """Run every trial to its named end; a batch's results do not depend on the others."""
         ...
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A backend by name, with nothing left open."""
+
+    backend: str  # of `BACKENDS`
+    impl: str | None = None  # of `IMPLEMENTATIONS`, where the backend has more than one
+
+    def __str__(self) -> str:
+        return self.backend if self.impl is None else f"{self.backend}-{self.impl}"
+
+
+BACKENDS = ("mujoco", "mjx", "bullet")
+IMPLEMENTATIONS = ("warp", "jax")  # of mjx
+
+
+def choose(backend: str, impl: str = "auto") -> Chosen:
+    """What a backend's name, or `auto`, stands for on this machine.
+
+    `auto` is MJX where there is an accelerator, and MuJoCo on the CPU otherwise; of MJX's
+    implementations it is Warp on NVIDIA's devices, JAX on other accelerators, and on a plain CPU
+    Warp where it is installed. `mjx-warp` and `mjx-jax` name both at once.
+
+    Raises:
+        UsageError: A name is not known.
+    """
+    family, dash, part = backend.partition("-")
+    if dash and family == "mjx":
+        backend, impl = family, part
+    if backend not in ("auto", *BACKENDS):
+        names = ", ".join(("auto", *BACKENDS))
+        raise UsageError(f"unknown backend {backend!r}; give one of {names}")
+    if impl not in ("auto", *IMPLEMENTATIONS):
+        names = ", ".join(("auto", *IMPLEMENTATIONS))
+        raise UsageError(f"unknown implementation {impl!r} of backend 'mjx'; give one of {names}")
+    if backend not in ("auto", "mjx") or (backend == "auto" and not has_accelerator()):
+        return Chosen("mujoco" if backend == "auto" else backend)
+    if impl == "auto":
+        impl = "warp" if warp_fits() else "jax"
+    return Chosen("mjx", impl)
 
 
 def _mujoco(threads: int) -> Backend:
@@ -41,7 +86,7 @@ def _mujoco(threads: int) -> Backend:
     return MujocoBackend(threads=threads)
 
 
-def _bullet(_: int) -> Backend:
+def _bullet() -> Backend:
     try:
         with _without_banner():
             from gmdx.trials.bullet import BulletBackend
@@ -69,57 +114,126 @@ def _without_banner() -> Iterator[None]:
         os.close(saved)
 
 
-BACKENDS: dict[str, Callable[[int], Backend]] = {"mujoco": _mujoco, "bullet": _bullet}
+def open_backend(
+    name: str, *, impl: str = "auto", threads: int = 1, batch_size: int | None = None
+) -> Backend:
+    """An engine by its name.
 
-
-def open_backend(name: str, *, threads: int = 1) -> Backend:
-    """An engine by its name, one of `BACKENDS`.
+    Args:
+        name: One of `BACKENDS`, or `auto`; see `choose`.
+        impl: Of MJX: one of `IMPLEMENTATIONS`, or `auto`.
+        threads: Of MuJoCo on the CPU.
+        batch_size: Trials that MJX runs side by side; the device's memory decides if not given.
 
     Raises:
-        UsageError: The name is not known, or what the backend needs is not installed.
+        UsageError: A name is not known, or what the backend needs is not installed.
     """
-    if name not in BACKENDS:
-        raise UsageError(f"unknown backend '{name}': give one of {', '.join(BACKENDS)}")
-    return BACKENDS[name](threads)
+    chosen = choose(name, impl)
+    if name == "auto" or (chosen.impl is not None and impl == "auto" and name == "mjx"):
+        _LOG.info("backend %s: %s runs the trials", name, chosen)
+    if chosen.backend == "bullet":
+        return _bullet()
+    if chosen.impl is not None:
+        from gmdx.trials.mjx import MjxBackend
+
+        return MjxBackend(chosen.impl, batch_size=batch_size)
+    return _mujoco(threads)
+
+
+@overload
+def run_trials(
+    scenes: Scene,
+    grasps: PlanarGrasp,
+    backend: str | Backend = ...,
+    *,
+    impl: str = ...,
+    trials: int | None = ...,
+    gripper: Gripper | None = ...,
+    config: TrialConfig | None = ...,
+    threads: int = ...,
+    batch_size: int | None = ...,
+) -> TrialResults: ...
+
+
+@overload
+def run_trials(
+    scenes: Sequence[Scene],
+    grasps: Sequence[PlanarGrasp],
+    backend: str | Backend = ...,
+    *,
+    impl: str = ...,
+    trials: int | None = ...,
+    gripper: Gripper | None = ...,
+    config: TrialConfig | None = ...,
+    threads: int = ...,
+    batch_size: int | None = ...,
+) -> list[TrialResults]: ...
 
 
 def run_trials(
-    scene: Scene,
-    grasps: PlanarGrasp,
-    backend: str = "mujoco",
+    scenes: Scene | Sequence[Scene],
+    grasps: PlanarGrasp | Sequence[PlanarGrasp],
+    backend: str | Backend = "mujoco",
     *,
+    impl: str = "auto",
     trials: int | None = None,
     gripper: Gripper | None = None,
     config: TrialConfig | None = None,
     threads: int = 1,
-) -> TrialResults:
+    batch_size: int | None = None,
+) -> TrialResults | list[TrialResults]:
     """Approach, close, lift, hold, and push the nominal trial's object out of the gripper.
 
     Args:
-        scene: The object at rest; its seed keys the pose noise.
-        grasps: n grasps.
-        backend: The engine, one of `BACKENDS`.
+        scenes: The object at rest, or several such, of any objects; a scene's seed keys the pose
+            noise.
+        grasps: n grasps, or as many records of them as there are scenes. On MJX the trials of all
+            scenes run side by side, which changes no trial's result.
+        backend: The engine: one of `BACKENDS`, `auto`, or one that `open_backend` opened.
+        impl: Of MJX: `warp`, `jax` or `auto`; see `choose`.
         trials: Trials a grasp, instead of the configuration's.
         gripper: The default one if not given.
         config: The protocol and its physics.
-        threads: Of a backend that runs on the CPU; the results do not depend on it.
+        threads: Of MuJoCo on the CPU; the results do not depend on it.
+        batch_size: Trials side by side on MJX; the device's memory decides if not given.
+
+    Returns:
+        Results of the grasps; for several scenes a list of them, in their order.
 
     Raises:
         UsageError: The backend is not known or not installed.
         GraspError: A grasp is not finite, or wider than the gripper opens.
     """
-    engine = open_backend(backend, threads=threads)
+    if isinstance(backend, str):
+        engine = open_backend(backend, impl=impl, threads=threads, batch_size=batch_size)
+    else:
+        engine = backend
     gripper = load_gripper() if gripper is None else gripper
     config = TrialConfig() if config is None else config
     config = config if trials is None else replace(config, trials=trials)
-    _check(grasps, gripper)
+    several = not isinstance(scenes, Scene)
+    scene_list = list(scenes) if not isinstance(scenes, Scene) else [scenes]
+    grasp_list = [grasps] if isinstance(grasps, PlanarGrasp) else list(grasps)
+    if several == isinstance(grasps, PlanarGrasp) or len(scene_list) != len(grasp_list):
+        raise UsageError("give one record of grasps for each scene")
+    for item in grasp_list:
+        _check(item, gripper)
 
     start = time.perf_counter()
-    batch = place(scene, grasps, gripper=gripper, config=config)
-    raw = engine.run(batch, config=config)
-    return _results(
-        grasps.grasp_id, batch, raw, config.trials, engine.version, time.perf_counter() - start
-    )
+    batches = [
+        place(scene, item, gripper=gripper, config=config)
+        for scene, item in zip(scene_list, grasp_list, strict=True)
+    ]
+    found = engine.run(batches, config=config)
+    seconds = time.perf_counter() - start
+    total = max(sum(raw.steps for raw in found), 1)
+    results = [
+        _results(
+            item.grasp_id, batch, raw, config.trials, engine.version, seconds * raw.steps / total
+        )
+        for item, batch, raw in zip(grasp_list, batches, found, strict=True)
+    ]
+    return results if several else results[0]
 
 
 def _check(grasps: PlanarGrasp, gripper: Gripper) -> None:

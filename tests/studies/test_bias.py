@@ -217,7 +217,7 @@ def test_part_that_could_not_run_is_named_and_left_out(dataset: Dataset, tmp_pat
 
 
 def test_wrong_usage_is_refused(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"unknown backend 'ode'.*bullet, mujoco"):
+    with pytest.raises(UsageError, match=r"unknown backend 'ode'.*auto, mujoco, mjx, bullet"):
         bias_study(dataset, tmp_path / "a", replace(NULL, backend="ode"))
     with pytest.raises(ConfigError, match="grasps must be at least 1"):
         BiasConfig(grasps=0)

@@ -29,6 +29,7 @@ pybullet = pytest.importorskip("pybullet", reason="the second engine is not inst
 
 from gmdx.trials import bullet as second_engine  # noqa: E402
 from gmdx.trials.bullet_world import BulletConfig  # noqa: E402
+from gmdx.trials.frames import Stretch  # noqa: E402
 from tests.trials.bullet_rig import bullet_world, start, wait  # noqa: E402
 
 BOX = (0.03, 0.04, 0.05)
@@ -64,13 +65,18 @@ class _Handed:
         step = module._Engine.step  # type: ignore[attr-defined]
 
         def noted(
-            engine: object, state: np.ndarray, control: np.ndarray, force: np.ndarray
-        ) -> tuple[np.ndarray, np.ndarray]:
+            engine: object,
+            rows: np.ndarray,
+            state: np.ndarray,
+            control: np.ndarray,
+            force: np.ndarray,
+            count: np.ndarray,
+        ) -> Stretch:
             self.starts += [row for row in state if row[0] == 0.0]
             self.controls += [control]
             self.forces += [force]
-            states, sensors = step(engine, state, control, force)
-            return states, sensors
+            found: Stretch = step(engine, rows, state, control, force, count)
+            return found
 
         monkeypatch.setattr(module._Engine, "step", noted)  # type: ignore[attr-defined]
 
