@@ -1,0 +1,338 @@
+"""Chunks of trials on one device: buffers of a few sizes, and on CUDA one graph a chunk."""
+
+import dataclasses
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco.mjx.third_party.mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
+
+from gmdx.arrays import Array, Float, Int
+from gmdx.errors import OutOfDeviceMemory
+from gmdx.scenes.build import HEIGHT_QPOS, SLOT_SIZE, GraspModel
+from gmdx.trials import mjx_warp_kernels as kernels
+from gmdx.trials.frames import FACE_COSINE, Digest, Stretch
+from gmdx.trials.mjx_warp_library import LARGEST, MESH_OF_GEOM, Library
+
+_LOG = logging.getLogger("gmdx")
+
+LANES = 2  # launches under way at once: the host prepares one while the device runs the other
+# Kernels are compiled for the number of worlds that a model's arrays are for, and look up row
+# `world % number`. Arrays of any capacity say they are for this many, and share the kernels.
+_WORLDS = 2**20
+_FAILURES = OverflowType.NEFC | OverflowType.NJMAX_NNZ | OverflowType.CONTACT_MATCH
+
+
+@contextmanager
+def device_memory(what: str) -> Iterator[None]:
+    """Warp's failed allocations as our own error."""
+    try:
+        yield
+    except RuntimeError as error:
+        text = str(error).lower()
+        if "failed to allocate" in text or "out of memory" in text:
+            raise OutOfDeviceMemory(f"no device memory for {what}: {error}") from error
+        raise
+
+
+@dataclass(frozen=True)
+class _Arrays:
+    """What goes to the device for a chunk of s steps of n worlds, and what comes back."""
+
+    index: Any  # (n) int, -1 for none
+    state: Any  # (n, q + v)
+    control: Any  # (n, s, 3)
+    force: Any  # (s, 3)
+    count: Any  # (n) int
+    flags: Any  # (n, s) int, of the digest
+    motion: Any  # (n, s, MOTION), of the digest
+    last_state: Any  # (n, q + v)
+    qpos_before: Any  # (n, q)
+    last_sensors: Any  # (n, d)
+    last_overflow: Any  # (n) int, OverflowType
+    need: Any  # (2) int: most contacts and most pairs of geoms in any step
+
+    INPUTS = ("index", "state", "control", "force", "count")
+
+    @property
+    def outputs(self) -> list[str]:
+        return [f.name for f in dataclasses.fields(self) if f.name not in self.INPUTS]
+
+
+class DeviceWorlds:
+    """Room for trials of a library's objects on one device."""
+
+    def __init__(
+        self,
+        library: Library,
+        grasp: GraspModel,
+        device: Any,
+        *,
+        capacity: int,
+        contacts: int,
+        contact_limit: int,
+    ) -> None:
+        """Put the library on the device.
+
+        Args:
+            library: The objects.
+            grasp: Any of them: for what they share.
+            device: Of Warp.
+            capacity: Trials side by side.
+            contacts: Room for so many contacts, or pairs of geoms that may touch, a trial on
+                average; it grows where they are more.
+            contact_limit: Contacts of one trial: one that has more has overflowed.
+
+        Raises:
+            OutOfDeviceMemory: The library does not fit.
+        """
+        self.library, self.grasp, self.device = library, grasp, device
+        self.capacity, self.contacts, self.contact_limit = capacity, contacts, contact_limit
+        shared = library.model
+        condim = int(shared.geom_condim.max())
+        self.rows = condim * contact_limit + shared.neq + int(shared.jnt_limited.sum())
+        self.runs: dict[tuple[int, int], _Run] = {}
+        with wp.ScopedDevice(device), device_memory("a library of objects"):
+            by_world = (*library.columns, MESH_OF_GEOM)
+            self.model = mjw.put_model(shared, batch_sizes=dict.fromkeys(by_world, capacity))
+            self.targets = {name: self._widen(name) for name in by_world}
+            self.numbers = wp.array(library.numbers, dtype=float)
+            self.meshes = wp.array(library.meshes, dtype=int)
+            for name, values in library.mesh_arrays.items():
+                kind = getattr(self.model, name).dtype
+                setattr(self.model, name, wp.array(values, dtype=kind))
+        for name in LARGEST:
+            setattr(self.model, name, library.largest[name])
+        self.model.opt.contact_sensor_maxmatch = contact_limit
+        self.model.opt.warn_overflow = 0  # overflows are counted and named, not printed
+
+    def _widen(self, name: str) -> tuple[Any, Any]:
+        """Let a field by world say that it is for `_WORLDS`; its memory as plain numbers."""
+        own = getattr(self.model, name)
+        kind = int if name == MESH_OF_GEOM else float
+        width = int(getattr(self.library.model, name).size)
+        flat = wp.array(ptr=own.ptr, dtype=kind, shape=(self.capacity, width))
+        wide = wp.array(ptr=own.ptr, dtype=own.dtype, shape=(_WORLDS, *own.shape[1:]))
+        wide._is_batched = True
+        setattr(self.model, name, wide)
+        return flat, own  # the owner of the memory is kept
+
+    def size_for(self, count: int) -> int:
+        """The smallest size of buffers for so many trials: capacity over a power of 2 or 4."""
+        shrink = 4 if self.device.is_cuda else 2
+        size = self.capacity
+        while -(-size // shrink) >= count and size > 1:
+            size = -(-size // shrink)
+        return size
+
+    def launch(
+        self,
+        index: Int[Array, "n"],
+        state: Float[Array, "n d"],
+        control: Float[Array, "n s 3"],
+        force: Float[Array, "s 3"],
+        count: Int[Array, "n"],
+    ) -> Callable[[], Stretch]:
+        """As `mjx.Worlds.launch`, for at most `capacity` trials."""
+        key = self.size_for(len(index)), control.shape[1]
+        with wp.ScopedDevice(self.device), device_memory(f"{key[0]} trials side by side"):
+            if key not in self.runs:
+                self.runs[key] = _Run(self, *key)
+            wait = self.runs[key].start(index, state, control, force, count)
+
+        def result() -> Stretch:
+            with wp.ScopedDevice(self.device), device_memory(f"{key[0]} trials side by side"):
+                found = wait()
+                while isinstance(found, int):
+                    found = self._run_with(key, found).start(
+                        index, state, control, force, count
+                    )()
+                return found
+
+        return result
+
+    def _run_with(self, key: tuple[int, int], need: int) -> "_Run":
+        """Buffers with room for at least so many contacts."""
+        if key not in self.runs or self.runs[key].room < need:
+            self.contacts = max(self.contacts, -(-5 * need // (4 * key[0])))
+            _LOG.info("room for %d contacts a trial on average", self.contacts)
+            self.runs.pop(key, None)  # its memory is needed
+            self.runs[key] = _Run(self, *key)
+        return self.runs[key]
+
+
+class _Run:
+    """Buffers for chunks of `steps` steps of `size` worlds."""
+
+    def __init__(self, owner: DeviceWorlds, size: int, steps: int) -> None:
+        self.owner, self.size, self.steps = owner, size, steps
+        self.room = max(owner.contacts * size, owner.contact_limit)
+        self.data = mjw.make_data(
+            owner.library.model, nworld=size, naconmax=self.room, njmax=owner.rows
+        )
+        self.arrays = self._allocate(owner.device, pinned=False)
+        cuda = owner.device.is_cuda
+        self.host = [self._allocate("cpu", pinned=cuda) for _ in range(LANES)]
+        self.lane = 0
+        self.graph: Any = None
+
+    def _allocate(self, device: Any, *, pinned: bool) -> _Arrays:
+        shared, size, steps = self.owner.library.model, self.size, self.steps
+        shapes = {
+            "index": (size,),
+            "state": (size, shared.nq + shared.nv),
+            "control": (size, steps, 3),
+            "force": (steps, 3),
+            "count": (size,),
+            "flags": (size, steps),
+            "motion": (size, steps, kernels.MOTION),
+            "last_state": (size, shared.nq + shared.nv),
+            "qpos_before": (size, shared.nq),
+            "last_sensors": (size, shared.nsensordata),
+            "last_overflow": (size,),
+            "need": (2,),
+        }
+        whole = ("index", "count", "flags", "last_overflow", "need")
+        return _Arrays(
+            **{
+                name: wp.zeros(
+                    shape, dtype=int if name in whole else float, device=device, pinned=pinned
+                )
+                for name, shape in shapes.items()
+            }
+        )
+
+    def start(
+        self,
+        index: Int[Array, "n"],
+        state: Float[Array, "n d"],
+        control: Float[Array, "n s 3"],
+        force: Float[Array, "s 3"],
+        count: Int[Array, "n"],
+    ) -> Callable[[], Stretch | int]:
+        """Queue a chunk; where contacts had no room, what comes back says how many there were."""
+        host = self.host[self.lane]
+        self.lane = (self.lane + 1) % LANES
+        n, nq = len(index), self.owner.library.model.nq
+        for name, values in (("index", index), ("count", count), ("control", control)):
+            getattr(host, name).numpy()[:n] = values
+        host.state.numpy()[:n] = state[:, 1:]
+        host.force.numpy()[:] = force
+        # Worlds without a trial have no object, and a gripper out of the table's reach.
+        host.index.numpy()[n:], host.count.numpy()[n:] = -1, 0
+        host.control.numpy()[n:] = [1.0, 0.0, 0.0]
+        host.state.numpy()[n:] = 0.0
+        host.state.numpy()[n:, [2, 3, HEIGHT_QPOS]] = 1.0
+
+        for name in _Arrays.INPUTS:
+            wp.copy(getattr(self.arrays, name), getattr(host, name))
+        self._run()
+        for name in host.outputs:
+            wp.copy(getattr(host, name), getattr(self.arrays, name))
+        queued = wp.record_event() if self.owner.device.is_cuda else None
+
+        def wait() -> Stretch | int:
+            if queued is not None:
+                wp.synchronize_event(queued)
+            need = int(host.need.numpy().max())
+            if need > self.room:
+                return need
+            time = state[:, 0] + count * float(self.owner.library.model.opt.timestep)
+            return _stretch(host, n, nq, time)
+
+        return wait
+
+    def _run(self) -> None:
+        if not self.owner.device.is_cuda:
+            self._chunk()
+        elif self.graph is None:
+            self._chunk()  # loads, and may compile, what a capture must find ready
+            with wp.ScopedCapture() as capture:
+                self._chunk()
+            self.graph = capture.graph
+        else:
+            wp.capture_launch(self.graph)
+
+    def _chunk(self) -> None:
+        """All steps, from the inputs' buffers to the outputs'."""
+        owner, data, arrays = self.owner, self.data, self.arrays
+        shared, layout = owner.library.model, owner.grasp.sensors
+        for name, columns in owner.library.columns.items():
+            flat = owner.targets[name][0]
+            wp.launch(
+                kernels.gather_numbers,
+                dim=(self.size, flat.shape[1]),
+                inputs=[arrays.index, owner.numbers, columns.start],
+                outputs=[flat],
+            )
+        wp.launch(
+            kernels.gather_meshes,
+            dim=(self.size, shared.ngeom),
+            inputs=[arrays.index, owner.meshes],
+            outputs=[owner.targets[MESH_OF_GEOM][0]],
+        )
+        _clear(data.efc)  # numbers of an earlier trial, if not finite, would stay in sums
+        wp.launch(
+            kernels.start,
+            dim=max(self.size, 2),
+            inputs=[self.size, arrays.state, shared.nq, shared.nv],
+            outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.overflow, arrays.need],
+        )
+        for step in range(self.steps):
+            wp.launch(
+                kernels.drive,
+                dim=self.size,
+                inputs=[step, arrays.count, arrays.control, arrays.force]
+                + [owner.grasp.object_body, shared.nq, data.qpos],
+                outputs=[data.ctrl, data.xfrc_applied, arrays.qpos_before],
+            )
+            mjw.step(owner.model, data)
+            wp.launch(
+                kernels.observe,
+                dim=self.size,
+                inputs=[step, arrays.count, shared.nq, shared.nv, shared.nsensordata]
+                + [layout.pads[0].start, layout.pads[1].start, layout.slots, SLOT_SIZE]
+                + [layout.hand, layout.hand_table, FACE_COSINE]
+                + [data.qpos, data.qvel, data.sensordata]
+                + [data.overflow, data.nacon, data.ncollision],
+                outputs=[arrays.flags, arrays.motion, arrays.last_state]
+                + [arrays.last_sensors, arrays.last_overflow, arrays.need],
+            )
+
+
+def _clear(record: Any) -> None:
+    for field in dataclasses.fields(record):
+        values = getattr(record, field.name)
+        if isinstance(values, wp.array) and values.size > 0:
+            values.zero_()
+
+
+def _stretch(host: _Arrays, n: int, nq: int, time: Float[Array, "n"]) -> Stretch:
+    """What came back of the first n worlds, copied."""
+
+    def own(name: str) -> Array:
+        values: Array = getattr(host, name).numpy()[:n]
+        return values.copy() if values.dtype.kind == "i" else values.astype(float)
+
+    flags, motion = own("flags"), own("motion")
+    return Stretch(
+        state=np.concatenate([time[:, None], own("last_state")], axis=1),
+        qpos_at_sensors=own("qpos_before"),
+        sensors=own("last_sensors"),
+        failed=np.zeros(n, bool),
+        overflowed=(own("last_overflow") & int(_FAILURES)) != 0,
+        steps=Digest(
+            collides=(flags & kernels.COLLIDES) != 0,
+            touches=(flags & kernels.TOUCHES) != 0,
+            presses=(flags & kernels.PRESSES) != 0,
+            speed=motion[..., 0],
+            offset=motion[..., 1:4],
+            velocity=motion[..., 4:7],
+            rise=motion[..., 7],
+        ),
+    )
