@@ -1,0 +1,213 @@
+"""Convex hulls of objects in arrays of fixed shapes, so that objects share a compiled step.
+
+Nothing is moved: vertices, faces and edges that are missing are filled up with repeated ones,
+which changes no distance and no contact, and hulls that are missing are switched off.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from gmdx.arrays import Array, Float, Int
+from gmdx.errors import UsageError
+from gmdx.geometry import quaternion_matrix
+from gmdx.scenes.build import GraspModel
+
+_HULLS = (4, 8, 16, 32, 64, 96, 128)
+_VERTICES = (16, 32, 64, 128, 256)
+_MOST_OUTLINE = 1024  # vertices of an object's own convex hull
+_SHARPEST_FLAT = 1e-3  # rad: faces that meet at less share one plane, and no edge
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """Bounds that objects of one compiled step share."""
+
+    hulls: int
+    vertices: int  # of a hull
+
+    @property
+    def faces(self) -> int:
+        """Most triangles of a convex hull with that many vertices."""
+        return 2 * self.vertices - 4
+
+    @property
+    def edges(self) -> int:
+        """Most edges of a convex hull with that many vertices."""
+        return 3 * self.vertices - 6
+
+    @property
+    def outline(self) -> int:
+        """Most vertices that can reach the table."""
+        return min(self.hulls * self.vertices, _MOST_OUTLINE)
+
+
+class Hulls(NamedTuple):
+    """Hulls of an object, in its frame; leading axes may run over objects.
+
+    A face is a half-space that holds the whole hull: normal . x <= offset.
+    """
+
+    vertices: Any  # (h v 3) m
+    normals: Any  # (h f 3)
+    offsets: Any  # (h f) m
+    edges: Any  # (h e 2) vertices of each edge
+    edge_faces: Any  # (h e 2) faces on its two sides
+    center: Any  # (h 3) m, of the bounding box
+    half: Any  # (h 3) m, of the bounding box
+    used: Any  # (h) bool
+    outline: Any  # (w 3) m, vertices that can reach the table
+
+
+@dataclass(frozen=True)
+class _Hull:
+    vertices: Float[Array, "v 3"]
+    normals: Float[Array, "f 3"]
+    offsets: Float[Array, "f"]
+    edges: Int[Array, "e 2"]
+    edge_faces: Int[Array, "e 2"]
+
+
+def bucket(model: GraspModel) -> Bucket:
+    """The bounds that an object falls under: objects of one bucket share one compiled step.
+
+    Raises:
+        UsageError: The object has more hulls, or more vertices a hull, than any bucket.
+    """
+    hulls = _object_meshes(model)
+    sizes = [len(_corners(model.model, mesh)) for mesh in hulls]
+    return Bucket(
+        _at_least(len(hulls), _HULLS, "convex hulls"),
+        _at_least(max(sizes), _VERTICES, "vertices in a convex hull"),
+    )
+
+
+def object_hulls(model: GraspModel, bounds: Bucket) -> Hulls:
+    """An object's hulls, filled up to the bounds of its bucket.
+
+    Raises:
+        UsageError: The object does not fit under the bounds.
+    """
+    geoms = _object_geoms(model)
+    hulls = [_hull(model.model, geom) for geom in geoms]
+    corners = np.concatenate([hull.vertices for hull in hulls])
+    outline = corners if len(corners) <= bounds.outline else corners[ConvexHull(corners).vertices]
+    most = max(len(hull.vertices) for hull in hulls)
+    if len(hulls) > bounds.hulls or most > bounds.vertices or len(outline) > bounds.outline:
+        raise UsageError(
+            f"an object of {len(hulls)} convex hulls with up to {most} vertices, {len(outline)} "
+            f"of them on its outside, does not fit under {bounds}: prepare it with fewer"
+        )
+    low = np.stack([hull.vertices.min(axis=0) for hull in hulls])
+    high = np.stack([hull.vertices.max(axis=0) for hull in hulls])
+
+    def filled(name: str, length: int) -> Array:
+        rows = [_repeat(getattr(hull, name), length) for hull in hulls]
+        return _repeat(np.stack(rows), bounds.hulls)
+
+    return Hulls(
+        vertices=filled("vertices", bounds.vertices),
+        normals=filled("normals", bounds.faces),
+        offsets=filled("offsets", bounds.faces),
+        edges=filled("edges", bounds.edges).astype(np.int32),
+        edge_faces=filled("edge_faces", bounds.edges).astype(np.int32),
+        center=_repeat(0.5 * (low + high), bounds.hulls),
+        half=_repeat(0.5 * (high - low), bounds.hulls),
+        used=np.arange(bounds.hulls) < len(hulls),
+        outline=_repeat(outline, bounds.outline),
+    )
+
+
+def _at_least(count: int, ladder: Sequence[int], what: str) -> int:
+    for size in ladder:
+        if count <= size:
+            return size
+    raise UsageError(
+        f"an object with {count} {what} is more than the JAX implementation holds "
+        f"({ladder[-1]}): prepare it with fewer, or run it on another implementation"
+    )
+
+
+def _repeat(values: Array, length: int) -> Array:
+    """Fill up with copies of the first entry."""
+    missing = np.repeat(values[:1], length - len(values), axis=0)
+    filled: Array = np.concatenate([values, missing])
+    return filled
+
+
+def _object_geoms(model: GraspModel) -> list[int]:
+    m = model.model
+    return [
+        geom
+        for geom in range(m.ngeom)
+        if m.geom_bodyid[geom] == model.object_body and m.geom_contype[geom]
+    ]
+
+
+def _object_meshes(model: GraspModel) -> list[int]:
+    m = model.model
+    geoms = _object_geoms(model)
+    if any(m.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH for geom in geoms) or not geoms:
+        raise UsageError("the JAX implementation needs an object made of convex meshes")
+    return [int(m.geom_dataid[geom]) for geom in geoms]
+
+
+def _graph(m: mujoco.MjModel, mesh: int) -> tuple[Int[Array, "v"], Int[Array, "f 3"]]:
+    """Vertices of a mesh that are on its convex hull, and the hull's triangles (mjModel.mesh_graph)."""
+    graph = m.mesh_graph[m.mesh_graphadr[mesh] :]
+    vertices, faces = int(graph[0]), int(graph[1])
+    corners = graph[2 + vertices : 2 + 2 * vertices]
+    start = 2 + 3 * vertices + 3 * faces
+    triangles = graph[start : start + 3 * faces].reshape(-1, 3)
+    return np.asarray(corners, int), np.asarray(triangles, int)
+
+
+def _corners(m: mujoco.MjModel, mesh: int) -> Int[Array, "v"]:
+    return _graph(m, mesh)[0]
+
+
+def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
+    """The hull that MuJoCo collides, in the frame of its body."""
+    mesh = int(m.geom_dataid[geom])
+    corners, triangles = _graph(m, mesh)
+    start = int(m.mesh_vertadr[mesh])
+    local = np.asarray(m.mesh_vert[start + corners], float)
+    vertices = m.geom_pos[geom] + local @ quaternion_matrix(m.geom_quat[geom]).T
+    place = np.full(int(m.mesh_vertnum[mesh]), -1)
+    place[corners] = np.arange(len(corners))
+    faces = place[triangles]
+
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    faces, normals = faces[area > 0], normals[area > 0] / area[area > 0, None]
+    outward = np.sum(normals * (vertices[faces[:, 0]] - vertices.mean(axis=0)), axis=1) > 0
+    normals = np.where(outward[:, None], normals, -normals)
+    edges, sides = _edges(faces, normals)
+    return _Hull(
+        vertices=vertices,
+        normals=normals,
+        # The hull's own reach, so that a sliver's uncertain normal still bounds the hull.
+        offsets=(vertices @ normals.T).max(axis=0),
+        edges=edges,
+        edge_faces=sides,
+    )
+
+
+def _edges(
+    faces: Int[Array, "f 3"], normals: Float[Array, "f 3"]
+) -> tuple[Int[Array, "e 2"], Int[Array, "e 2"]]:
+    """Edges between faces that meet at an angle, and those faces."""
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort((owner, pairs[:, 1], pairs[:, 0]))
+    pairs, owner = pairs[order], owner[order]
+    twin = np.flatnonzero(np.all(pairs[:-1] == pairs[1:], axis=1))
+    sides = np.stack([owner[twin], owner[twin + 1]], axis=1)
+    bend = np.linalg.norm(np.cross(normals[sides[:, 0]], normals[sides[:, 1]]), axis=1)
+    flat = (bend < _SHARPEST_FLAT) & (np.sum(normals[sides[:, 0]] * normals[sides[:, 1]], 1) > 0)
+    return pairs[twin][~flat], sides[~flat]
