@@ -66,6 +66,13 @@ class Generate:
     """simulated trials per grasp"""
     gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "parallel_jaw")] = None
     """a shipped gripper, or the description of your own"""
+    backend: Annotated[str | None, *_optional(str, "NAME", "mujoco")] = None
+    """what runs the trials: mujoco (C, on the CPU), mjx (in batches on an accelerator), bullet, or
+    auto (mjx where there is an accelerator)"""
+    impl: Annotated[str | None, *_optional(str, "NAME", "auto")] = None
+    """of mjx: warp, jax, or auto (warp on NVIDIA and on a plain CPU, else jax)"""
+    batch_size: Annotated[int | None, *_optional(int, "INT", "what the device has room for")] = None
+    """trials side by side on mjx; results do not depend on it"""
     workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
     """processes; results do not depend on it"""
     seed: Annotated[int | None, *_optional(int, "INT", "0")] = None
@@ -92,7 +99,10 @@ class Generate:
         config = GenerateConfig(workers=available_cores())
         if self.config is not None:
             config = merge(config, load_toml(self.config))
-        names = ("grasps", "scenes", "trials", "gripper", "workers", "seed", "cache")
+        names = (
+            "grasps", "scenes", "trials", "gripper", "backend", "impl", "batch_size", "workers",
+            "seed", "cache",
+        )  # fmt: skip
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return merge(config, given)
 
@@ -342,6 +352,13 @@ class Sensitivity:
     """simulated trials per grasp"""
     gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "parallel_jaw")] = None
     """a shipped gripper, or the description of your own"""
+    backend: Annotated[str | None, *_optional(str, "NAME", "mujoco")] = None
+    """what runs the trials: mujoco (C, on the CPU), mjx (in batches on an accelerator), bullet, or
+    auto (mjx where there is an accelerator)"""
+    impl: Annotated[str | None, *_optional(str, "NAME", "auto")] = None
+    """of mjx: warp, jax, or auto (warp on NVIDIA and on a plain CPU, else jax)"""
+    batch_size: Annotated[int | None, *_optional(int, "INT", "what the device has room for")] = None
+    """trials side by side on mjx; results do not depend on it"""
     workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
     """processes; results do not depend on it"""
     seed: int = 0

@@ -1,102 +1,33 @@
 """The stages in a row: objects in, an annotated dataset out. Composes; holds no mathematics."""
 
 import contextlib
-import logging
-import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from gmdx.arrays import Array
+from gmdx.annotate import Ended, Task, annotate, lost
+from gmdx.batched import annotate_in_batches
 from gmdx.config import as_dict
-from gmdx.dataset.costs import Costs
 from gmdx.dataset.files import read_json
 from gmdx.dataset.schema import OBJECT_FILE, Failure
-from gmdx.dataset.store import DatasetStore, OutputError, StorageError
-from gmdx.dataset.write import ObjectWriter
-from gmdx.errors import ConfigError, GmdxError, SceneError
-from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.grasps.sample import SAMPLERS, SampleConfig, sample_grasps
-from gmdx.metrics.compute import MetricConfig, compute_metrics
-from gmdx.metrics.quality import Evidence
+from gmdx.dataset.store import DatasetStore, OutputError
 from gmdx.objects.catalog import ObjectSource, resolve
-from gmdx.objects.model import ObjectModel
-from gmdx.objects.prepare import CacheOption, PrepareConfig, content_hash, prepare
-from gmdx.scenes.build import PhysicsConfig
-from gmdx.scenes.camera import CameraConfig, render
-from gmdx.scenes.gripper import DEFAULT_GRIPPER, Gripper, gripper_record, load_gripper
-from gmdx.scenes.scene import Scene
-from gmdx.scenes.settle import SettleConfig, settle
-from gmdx.trials.outcome import Outcome
-from gmdx.trials.protocol import TrialConfig
-from gmdx.trials.run import BACKENDS, open_backend, run_trials
-from gmdx.workers import Crash, return_freed_memory, run_tasks
+from gmdx.objects.prepare import content_hash
+from gmdx.run_config import GenerateConfig
+from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
+from gmdx.trials.run import open_backend
+from gmdx.workers import Crash, Finished, run_tasks
 
-logger = logging.getLogger("gmdx")
+__all__ = ["GenerateConfig", "Progress", "Summary", "generate"]
 
 # Packages whose version can change a result: a dataset is made with one version of each.
 PACKAGES = (
     "gmdx", "clarabel", "coacd", "fast-simplification", "manifold3d", "mujoco", "numpy",
     "pyarrow", "scipy", "trimesh",
 )  # fmt: skip
-LABELS = np.array([outcome.label for outcome in Outcome], dtype=object)
-_WITHOUT_EFFECT = ("workers", "batch", "cache")  # on results
-
-
-@dataclass(frozen=True)
-class GenerateConfig:
-    """A run of the whole pipeline."""
-
-    grasps: int = 64  # per scene
-    scenes: int = 2  # per object, each from a random orientation
-    trials: int = 5  # per grasp: the nominal one, and the rest with pose noise
-    seed: int = 0  # of every random number
-    gripper: str = DEFAULT_GRIPPER  # a shipped gripper's name, or the path of a description
-    sampler: str = "dense"  # how grasps are proposed: dense or antipodal
-    backend: str = "mujoco"  # what runs the trials
-    workers: int = 1  # processes; 1 is this process. Without effect on results
-    batch: int = 256  # grasps simulated together: memory against speed. Without effect on results
-    cache: CacheOption = "user"  # folder of prepared objects; "user": the user's own
-    prepare: PrepareConfig = field(default_factory=PrepareConfig)
-    settle: SettleConfig = field(default_factory=SettleConfig)
-    camera: CameraConfig = field(default_factory=CameraConfig)
-    sample: SampleConfig = field(default_factory=SampleConfig)
-    trial: TrialConfig = field(default_factory=TrialConfig)
-    metric: MetricConfig = field(default_factory=MetricConfig)
-
-    def __post_init__(self) -> None:
-        for name in ("grasps", "scenes", "trials", "workers", "batch"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name, value, known in (
-            ("sampler", self.sampler, SAMPLERS),
-            ("backend", self.backend, tuple(BACKENDS)),
-        ):
-            if value not in known:
-                raise ConfigError(f"unknown {name} {value!r}; give one of {', '.join(known)}")
-        if self.trial.trials not in (TrialConfig().trials, self.trials):
-            raise ConfigError("set `trials` of the whole run, not of [trial]")
-        if self.settle.physics not in (PhysicsConfig(), self.trial.physics):
-            raise ConfigError("set [trial.physics], which settling shares, not [settle.physics]")
-        if self.metric.quality.patch_radius != self.trial.physics.torsion_radius:
-            raise ConfigError(
-                "[metric.quality] patch_radius and [trial.physics] torsion_radius are one length, "
-                "the radius of a contact's patch: set both to the same"
-            )
-
-    def resolved(self) -> "GenerateConfig":
-        """The same run with what stages share, and what `auto` stands for, written into each."""
-        return replace(
-            self,
-            trial=replace(self.trial, trials=self.trials),
-            settle=replace(self.settle, physics=self.trial.physics),
-            sample=replace(self.sample, lines=self.sample.lines.resolved()),
-            metric=self.metric.resolved(),
-        )
+_WITHOUT_EFFECT = ("workers", "batch", "batch_size", "cache")  # on results
 
 
 @dataclass(frozen=True)
@@ -120,21 +51,6 @@ class Summary:
     present: int  # already there
     failed: int  # objects without a folder
     counts: Mapping[str, int]  # of the whole dataset: objects, scenes, grasps, failures
-
-
-@dataclass(frozen=True)
-class _Task:
-    source: ObjectSource
-    folder: Path
-    gripper: Gripper
-    config: GenerateConfig
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    produced: bool
-    grasps: int
-    failures: tuple[Failure, ...]
 
 
 def generate(
@@ -179,12 +95,11 @@ def generate(
                 on_progress(Progress(object_id, done, len(todo), grasps, failures))
 
         report("", 0, ())
-        tasks = (_Task(s, store.partial(s.object_id), gripper, config) for s in todo)
-        workers = min(config.workers, max(len(todo), 1))
-        with contextlib.closing(run_tasks(_annotate, tasks, workers=workers)) as finished:
+        tasks = (Task(s, store.partial(s.object_id), gripper, config) for s in todo)
+        with contextlib.closing(_annotated(tasks, config, len(todo))) as finished:
             for done, item in enumerate(finished, start=1):
                 object_id = item.task.source.object_id
-                outcome = _lost(object_id, item.result) if isinstance(item.result, Crash) else (
+                outcome = _crashed(object_id, item.result) if isinstance(item.result, Crash) else (
                     item.result
                 )  # fmt: skip
                 if outcome.produced:
@@ -207,6 +122,16 @@ def generate(
     )
 
 
+def _annotated(
+    tasks: Iterator[Task], config: GenerateConfig, count: int
+) -> Generator[Finished[Task, Ended], None, None]:
+    """Objects as they are done, on the processor alone or with a device for the trials."""
+    workers = min(config.workers, max(count, 1))
+    if config.chosen.impl is None:
+        return run_tasks(annotate, tasks, workers=workers)
+    return annotate_in_batches(tasks, config, workers=workers)
+
+
 def _refuse_another(store: DatasetStore, source: ObjectSource) -> None:
     """Refuse to continue with an object whose source has changed under the same id."""
     path = store.objects / source.object_id / OBJECT_FILE
@@ -224,102 +149,9 @@ def _refuse_another(store: DatasetStore, source: ObjectSource) -> None:
         )
 
 
-def _annotate(task: _Task) -> _Outcome:
-    """Run every stage on one object, and write its folder."""
-    config, object_id = task.config, task.source.object_id
-    costs, evidence = Costs(), Evidence()
-    failures: list[Failure] = []
-    try:
-        with costs.stage("prepare"):
-            obj = prepare(task.source, config=config.prepare, cache=config.cache)
-            writer = ObjectWriter(task.folder, obj)
-        costs.add_prepared(obj.report["seconds"])
-        for scene_id in range(config.scenes):
-            try:
-                evidence += _annotate_scene(obj, scene_id, writer, costs, task)
-            except StorageError:
-                raise
-            except Exception as error:
-                failures.append(_failure(object_id, scene_id, costs.current, error))
-        if len(failures) == config.scenes:
-            raise SceneError(f"none of the {config.scenes} scenes could be annotated")
-        with costs.stage("write"):
-            writer.close(failures=failures, evidence=evidence)
-        writer.write_cost(costs.as_json())
-    except StorageError:
-        raise
-    except Exception as error:
-        failures.append(_failure(object_id, None, costs.current, error))
-        return _Outcome(produced=False, grasps=0, failures=tuple(failures))
-    return _Outcome(produced=True, grasps=writer.grasps, failures=tuple(failures))
-
-
-def _annotate_scene(
-    obj: ObjectModel,
-    scene_id: int,
-    writer: ObjectWriter,
-    costs: Costs,
-    task: _Task,
-) -> Evidence:
-    """One scene: rest, images, grasps, trials and metrics; what the metrics rest on."""
-    config = task.config
-    with costs.stage("settle"):
-        scene = settle(obj, config.seed, scene_id=scene_id, config=config.settle)
-    with costs.stage("render"):
-        views = range(config.camera.views)
-        images = [render(scene, view=view, config=config.camera) for view in views]
-    with costs.stage("sample"):
-        grasps = sample_grasps(
-            scene,
-            config.grasps,
-            config.seed,
-            sampler=config.sampler,
-            gripper=task.gripper,
-            config=config.sample,
-        )
-    found: list[Evidence] = []
-    writer.write_scene(scene, images, _batches(scene, grasps, costs, found, task))
-    return sum(found, Evidence())
-
-
-def _batches(
-    scene: Scene, grasps: PlanarGrasp, costs: Costs, found: list[Evidence], task: _Task
-) -> Iterator[tuple[PlanarGrasp, Mapping[str, Array]]]:
-    """Grasps with their columns, a batch at a time, so that memory does not grow with them."""
-    config = task.config
-    for start in range(0, len(grasps), config.batch):
-        batch = grasps[start : start + config.batch]
-        with costs.stage("trials"):
-            trials = run_trials(
-                scene,
-                batch,
-                config.backend,
-                gripper=task.gripper,
-                config=config.trial,
-            )
-        with costs.stage("metrics"):
-            table = compute_metrics(scene, batch, trials, config=config.metric)
-        costs.add_batch(trials, table.cost)
-        found.append(table.evidence)
-        with costs.stage("write"):
-            yield batch, {**table.values, **table.extra, "outcomes": LABELS[table.outcomes]}
-        return_freed_memory()
-
-
-def _failure(object_id: str, scene_id: int | None, stage: str, error: Exception) -> Failure:
-    """An error as a line of `failures.jsonl`; one that nobody foresaw says where it arose."""
-    message = str(error)
-    if not isinstance(error, GmdxError):
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        message = f"{message} ({Path(frame.filename).name}:{frame.lineno})"
-        logger.debug("object %s failed in %s", object_id, stage, exc_info=error)
-    return Failure(object_id, scene_id, stage, type(error).__name__, message)
-
-
-def _lost(object_id: str, crash: Crash) -> _Outcome:
-    """The outcome of an object whose worker process died."""
-    failure = Failure(object_id, None, "worker", "WorkerCrash", str(crash))
-    return _Outcome(produced=False, grasps=0, failures=(failure,))
+def _crashed(object_id: str, crash: Crash) -> Ended:
+    """The end of an object whose worker process died."""
+    return lost(Failure(object_id, None, "worker", "WorkerCrash", str(crash)))
 
 
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
@@ -329,15 +161,20 @@ def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
         "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
         "gripper": gripper_record(gripper),
         "seed": config.seed,
-        "backend": config.backend,
+        "backend": str(config.chosen),
         "packages": {name: version(name) for name in packages},
     }
 
 
 def _engine_packages(config: GenerateConfig) -> list[str]:
     """Packages that the chosen engine rests on, besides MuJoCo."""
-    open_backend(config.backend)  # refused by name where it is not installed
-    return ["pybullet"] if config.backend == "bullet" else []
+    open_backend(str(config.chosen))  # refused by name where it is not installed
+    packages = {
+        "bullet": ["pybullet"],
+        "mjx-warp": ["mujoco-mjx", "warp-lang"],
+        "mjx-jax": ["mujoco-mjx", "jax", "jaxlib"],
+    }
+    return packages.get(str(config.chosen), [])
 
 
 def _kernel_packages(config: GenerateConfig) -> list[str]:

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import connection, resource_tracker
@@ -72,6 +73,14 @@ def return_freed_memory() -> None:
         trim(0)
 
 
+class Later:
+    """In a stream of tasks: there is none now, but there will be; ask again."""
+
+
+LATER = Later()
+_ASK_AGAIN = 0.02  # s
+
+
 def run_tasks(
     function: Callable[[TaskT], ResultT], tasks: Iterable[TaskT], *, workers: int
 ) -> Generator[Finished[TaskT, ResultT], None, None]:
@@ -80,7 +89,8 @@ def run_tasks(
     Args:
         function: Importable by name, as processes are spawned. An exception that it raises is
             raised here and ends the run.
-        tasks: Drawn one at a time, as workers become free.
+        tasks: Drawn one at a time, as workers become free and after the results before were
+            taken; `LATER` where the next task is not known yet.
         workers: Number of processes; 1 runs the tasks in this process, where a crash is a crash.
 
     Raises:
@@ -88,31 +98,44 @@ def run_tasks(
     """
     if workers == 1:
         for task in tasks:
-            yield Finished(task, function(task))
+            if isinstance(task, Later):
+                time.sleep(_ASK_AGAIN)
+            else:
+                yield Finished(task, function(task))
         return
     queue = iter(tasks)
-    pool: list[_Worker[TaskT, ResultT]] = []
+    busy: list[_Worker[TaskT, ResultT]] = []
+    idle: list[_Worker[TaskT, ResultT]] = []
     try:
         while True:
-            for task in _drawn(queue, workers - len(pool)):
-                pool.append(_Worker(function, task))
-            if not pool:
+            later = False
+            while len(busy) < workers and not later:
+                drawn = next(queue, _NOTHING)
+                if isinstance(drawn, _Nothing):
+                    break
+                if isinstance(drawn, Later):
+                    later = True
+                elif idle:
+                    busy.append(idle.pop())
+                    busy[-1].give(drawn)
+                else:
+                    busy.append(_Worker(function, drawn))
+            if not busy and not later:
                 return
-            waiting = {handle: worker for worker in pool for handle in worker.handles}
-            ready = {id(w): w for w in map(waiting.__getitem__, connection.wait(list(waiting)))}
-            for worker in ready.values():
-                task, result = worker.task, worker.receive()
+            waiting = {handle: worker for worker in busy for handle in worker.handles}
+            found = connection.wait(list(waiting), timeout=_ASK_AGAIN if later else None)
+            for worker in {id(w): w for w in map(waiting.__getitem__, found)}.values():
+                done, result = worker.task, worker.receive()
                 if isinstance(result, _Nothing):
                     continue
-                following = None if isinstance(result, Crash) else next(queue, _NOTHING)
-                if following is None or isinstance(following, _Nothing):
-                    pool.remove(worker)
+                busy.remove(worker)
+                if isinstance(result, Crash):
                     worker.end()
                 else:
-                    worker.give(following)
-                yield Finished(task, result)
+                    idle.append(worker)
+                yield Finished(done, result)
     finally:
-        for worker in pool:
+        for worker in [*busy, *idle]:
             worker.end()
 
 
@@ -121,14 +144,6 @@ class _Nothing:
 
 
 _NOTHING = _Nothing()
-
-
-def _drawn(queue: Iterator[TaskT], count: int) -> Iterator[TaskT]:
-    for _ in range(count):
-        task = next(queue, _NOTHING)
-        if isinstance(task, _Nothing):
-            return
-        yield task
 
 
 class _Worker(Generic[TaskT, ResultT]):

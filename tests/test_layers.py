@@ -15,7 +15,18 @@ STAGES = (
     "studies",
 )  # fmt: skip
 GROUND = ("errors", "arrays", "rng", "geometry", "config", "workers", "devices")
-COMPOSERS = ("pipeline", "cli", "bench", "show", "terminal", "__init__", "__main__")
+COMPOSERS = (
+    "annotate",
+    "batched",
+    "pipeline",
+    "run_config",
+    "cli",
+    "bench",
+    "show",
+    "terminal",
+    "__init__",
+    "__main__",
+)
 KERNELS = ROOT / "kernels" / "gmdx_kernels"
 
 

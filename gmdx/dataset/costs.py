@@ -34,6 +34,11 @@ class Costs:
             self._wall[name] += time.perf_counter() - wall
             self._cpu[name] += _processor_seconds() - cpu
 
+    def add_device(self, name: str, seconds: float) -> None:
+        """Count seconds of a device, which stand for processor seconds, under a stage's name."""
+        self._wall[name] += seconds
+        self._cpu[name] += seconds
+
     def add_prepared(self, seconds: Mapping[str, Any]) -> None:
         """Take up the seconds by step that preparing the object reported."""
         self._prepare = seconds

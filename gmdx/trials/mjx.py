@@ -6,6 +6,7 @@ the trials that are still alive go on, packed together, so that what has ended c
 """
 
 import logging
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, cast, runtime_checkable
@@ -13,6 +14,7 @@ from typing import Protocol, cast, runtime_checkable
 import numpy as np
 
 from gmdx.arrays import Array, Float, Int
+from gmdx.devices import has_accelerator
 from gmdx.errors import OutOfDeviceMemory, UsageError
 from gmdx.scenes.build import ContactSensors, GraspModel, grasp_model
 from gmdx.trials.batch import RawTrials, TrialBatch
@@ -59,6 +61,7 @@ class Worlds(Protocol):
         ...
 
 
+@runtime_checkable
 class Implementation(Protocol):
     """What computes: the module of an implementation offers these functions."""
 
@@ -102,6 +105,10 @@ def _implementation(name: str) -> Implementation:
         ) from error
 
 
+class Cancelled(Exception):  # noqa: N818, it is no error
+    """Another thread has ended this run."""
+
+
 class MjxBackend:
     """Batched trials on the devices that an implementation finds."""
 
@@ -117,11 +124,32 @@ class MjxBackend:
         """
         self.impl, self.batch_size = impl, batch_size
         self.implementation = _implementation(impl)
+        self._cancelled = threading.Event()
 
     @property
     def version(self) -> str:
         """Implementation, versions and device."""
         return f"mjx-{self.impl} ({self.implementation.device()})"
+
+    @property
+    def wanted_trials(self) -> int:
+        """How many trials at once keep the device at work."""
+        if self.batch_size is not None:
+            return self.batch_size
+        return _CAPACITIES[-1] if has_accelerator() else _CPU_CAPACITY
+
+    def cancel(self) -> None:
+        """End a run that is under way in another thread at its next chunk of steps."""
+        self._cancelled.set()
+
+    def check_cancelled(self) -> None:
+        """Raise if the run was cancelled.
+
+        Raises:
+            Cancelled: It was.
+        """
+        if self._cancelled.is_set():
+            raise Cancelled
 
     def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
         """Run every trial to its named end; a batch's results do not depend on the others."""
@@ -210,6 +238,7 @@ class _Engine:
         force: Float[Array, "s 3"],
         count: Int[Array, "a"],
     ) -> Stretch:
+        self.backend.check_cancelled()
         missing = self.config.chunk - control.shape[1]  # one length for all: one compilation
         control = np.pad(control, ((0, 0), (0, missing), (0, 0)), mode="edge")
         force = np.pad(force, ((0, missing), (0, 0)))

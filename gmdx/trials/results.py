@@ -1,6 +1,6 @@
 """What a backend returns for a batch of grasps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 from gmdx.arrays import Array, Bool, Float, Int
@@ -44,3 +44,18 @@ class TrialResults:
 
     def __len__(self) -> int:
         return len(self.outcome)
+
+    def __getitem__(self, rows: slice) -> "TrialResults":
+        """Some of the grasps, with their share of the steps and seconds."""
+        share = len(self.outcome[rows]) / max(len(self), 1)
+        return replace(
+            self,
+            **{item.name: getattr(self, item.name)[rows] for item in fields(self)
+               if item.name not in _WHOLE},
+            steps=round(self.steps * share),
+            step_seconds=self.step_seconds * share,
+            seconds=self.seconds * share,
+        )  # fmt: skip
+
+
+_WHOLE = ("gripper", "backend", "steps", "step_seconds", "seconds")  # not a row a grasp

@@ -14,7 +14,7 @@ import numpy as np
 
 from gmdx.arrays import Array, Int
 from gmdx.devices import has_accelerator, warp_fits
-from gmdx.errors import GraspError, UsageError
+from gmdx.errors import ConfigError, GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
@@ -62,17 +62,17 @@ def choose(backend: str, impl: str = "auto") -> Chosen:
     Warp where it is installed. `mjx-warp` and `mjx-jax` name both at once.
 
     Raises:
-        UsageError: A name is not known.
+        ConfigError: A name is not known.
     """
     family, dash, part = backend.partition("-")
     if dash and family == "mjx":
         backend, impl = family, part
     if backend not in ("auto", *BACKENDS):
         names = ", ".join(("auto", *BACKENDS))
-        raise UsageError(f"unknown backend {backend!r}; give one of {names}")
+        raise ConfigError(f"unknown backend {backend!r}; give one of {names}")
     if impl not in ("auto", *IMPLEMENTATIONS):
         names = ", ".join(("auto", *IMPLEMENTATIONS))
-        raise UsageError(f"unknown implementation {impl!r} of backend 'mjx'; give one of {names}")
+        raise ConfigError(f"unknown implementation {impl!r} of backend 'mjx'; give one of {names}")
     if backend not in ("auto", "mjx") or (backend == "auto" and not has_accelerator()):
         return Chosen("mujoco" if backend == "auto" else backend)
     if impl == "auto":
