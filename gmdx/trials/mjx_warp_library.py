@@ -19,7 +19,7 @@ from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.scenes.build import OBJECT, GraspModel, PhysicsConfig, grasp_model
 from gmdx.scenes.gripper import Gripper
 
-SLOTS = (4, 8, 16, 32, 64, 96)  # hulls of an object: each number of slots is compiled for once
+SLOTS = (8, 24, 48, 96)  # hulls of an object: few sizes, so that many objects are side by side
 
 # Numbers that a world has of its own, all of them arrays by world in MuJoCo Warp's model.
 OF_GEOMS = (
