@@ -157,7 +157,7 @@ def _object_meshes(model: GraspModel) -> list[int]:
 
 
 def _graph(m: mujoco.MjModel, mesh: int) -> tuple[Int[Array, "v"], Int[Array, "f 3"]]:
-    """Vertices of a mesh that are on its convex hull, and the hull's triangles (mjModel.mesh_graph)."""
+    """Vertices on a mesh's convex hull, and the hull's triangles (mjModel.mesh_graph)."""
     graph = m.mesh_graph[m.mesh_graphadr[mesh] :]
     vertices, faces = int(graph[0]), int(graph[1])
     corners = graph[2 + vertices : 2 + 2 * vertices]

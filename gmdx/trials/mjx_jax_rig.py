@@ -39,6 +39,7 @@ class Rig(NamedTuple):
     impratio: Any
     tolerance: Any
     inertia: Any  # (g g) kg
+    related: Any  # (g g) bool, entries that MuJoCo's inertia matrix has
     damping: Any  # (g) N s/m
     stiffness: Any  # (g) N/m
     rest: Any  # (g) m, of the springs
@@ -116,6 +117,7 @@ def read_rig(model: GraspModel) -> Rig:
         impratio=np.float64(m.opt.impratio),
         tolerance=np.float64(m.opt.tolerance),
         inertia=full[dofs, dofs],
+        related=_related(m)[dofs, dofs],
         damping=m.dof_damping[dofs].copy(),
         stiffness=m.jnt_stiffness[joints].reshape(SLIDES).copy(),
         rest=m.qpos_spring[HEIGHT_QPOS:].copy(),
@@ -278,6 +280,17 @@ def _gripper_geoms(model: GraspModel) -> list[int]:
 def _range(limited: Array, given: Array) -> Array:
     bounds: Array = np.where(np.asarray(limited, bool)[:, None], given, [-np.inf, np.inf])
     return bounds
+
+
+def _related(m: mujoco.MjModel) -> Array:
+    """Where the inertia matrix has entries: between a degree of freedom and its ancestors."""
+    related = np.eye(m.nv, dtype=bool)
+    for dof in range(m.nv):
+        parent = int(m.dof_parentid[dof])
+        while parent >= 0:
+            related[dof, parent] = related[parent, dof] = True
+            parent = int(m.dof_parentid[parent])
+    return related
 
 
 def _coupling(m: mujoco.MjModel) -> tuple[Array, float, float]:

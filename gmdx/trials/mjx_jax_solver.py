@@ -95,9 +95,8 @@ def solve(
         point, count, _ = state
         step = _line_search(problem, point, line_iterations)
         found = _at(problem, point.acceleration + step * point.search)
-        done = scale * (point.cost - found.cost) < tolerance
-        done = done | (scale * _norm(found.gradient) < tolerance)
-        return found, count + 1, done
+        better = scale * (point.cost - found.cost) >= tolerance  # not where it is not a number
+        return found, count + 1, ~(better & (scale * _norm(found.gradient) >= tolerance))
 
     begin = (point, jnp.zeros((), jnp.int32), scale * _norm(point.gradient) < tolerance)
     point, count, _ = jax.lax.while_loop(go_on, improve, begin)
@@ -108,7 +107,7 @@ def solve(
 
 
 def solve_positive(matrix: Array, right: Array) -> Array:
-    """x of `matrix` x = `right`, for a small symmetric positive matrix, by Cholesky's factors.
+    """Solve a small symmetric positive system by Cholesky's factors.
 
     Written out over columns, so that the order of sums does not depend on the batch.
     """
@@ -297,7 +296,7 @@ def _line_search(problem: _Problem, point: _Point, iterations: int) -> Array:
     ) -> tuple[Array, Array, Array, Array, Array]:
         low, high, step, count, _ = state
         first, second = slope(step)
-        done = jnp.abs(first) <= _LINE_ENOUGH * steepest
+        done = ~(jnp.abs(first) > _LINE_ENOUGH * steepest)  # also where it is not a number
         low = jnp.where(first < 0, step, low)
         high = jnp.where(first > 0, step, high)
         newton = step - first / jnp.maximum(second, _TINY)

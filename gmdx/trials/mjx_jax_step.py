@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, ContactSensors
+from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, SLOT_SIZE, ContactSensors
 from gmdx.trials.mjx_jax_collide import Boxes, Manifold, dot, pair_contacts, table_contacts, turn
 from gmdx.trials.mjx_jax_rig import DOFS, SLIDES, Body, Rig
 from gmdx.trials.mjx_jax_sensors import Touches, sensor_data
@@ -32,8 +32,17 @@ class Shape:
     contacts: int  # of the gripper with the object
     iterations: int
     line_iterations: int
-    layout: ContactSensors
+    places: tuple[int, ...]  # of sensors: both pads, hand, hand on table, object on table
+    slots: int  # of a pad
     sensors: int
+
+    @property
+    def layout(self) -> ContactSensors:
+        """Where the sensors' numbers go; slices themselves cannot be looked up in a cache."""
+        first, second, hand, hand_table, object_table = self.places
+        length = self.slots * SLOT_SIZE
+        pads = slice(first, first + length), slice(second, second + length)
+        return ContactSensors(pads, hand, hand_table, object_table, self.slots)
 
 
 class Moment(NamedTuple):
@@ -139,7 +148,8 @@ def _smooth(
 
     damping = jnp.where(clamped, 0.0, rig.bias[:, 2])  # a force at its limit does not vary
     slope = jnp.sum(rig.moment[:, :, None] * damping[:, None, None] * rig.moment[:, None], axis=0)
-    slope = slope - jnp.diag(rig.damping)
+    # C keeps what has a place in the inertia matrix: nothing between the two fingers.
+    slope = jnp.where(rig.related, slope, 0.0) - jnp.diag(rig.damping)
     inertia = jnp.zeros((DOFS, DOFS), force.dtype)
     inertia = inertia.at[:3, :3].set(mass * jnp.eye(3, dtype=force.dtype))
     inertia = inertia.at[3:HEIGHT_QVEL, 3:HEIGHT_QVEL].set(moment_of_inertia)
