@@ -48,7 +48,7 @@ class Pipeline:
             worker_figures,
         )
 
-        counts = _numbers(self.workers)
+        counts = numbers(self.workers, option="--workers")
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder) / "cache"
             config = GenerateConfig(grasps=self.grasps, scenes=self.scenes, cache=cache)
@@ -84,42 +84,6 @@ class Pipeline:
             table.add_row(f"{item.workers} workers", what)
         table.add_row("memory of the largest process", f"{peak_megabytes():.0f} MB at the most")
         console().print(table)
-        return 0
-
-
-@dataclasses.dataclass(frozen=True)
-class Trials:
-    """Trials per second, and the part of them spent inside the engine's step."""
-
-    objects: _Objects = ("bundled",)
-    """what to grasp"""
-    grasps: int = 64
-    """grasps per object, five trials each"""
-    gripper: _Gripper = "parallel_jaw"
-    """a shipped gripper, or the description of your own"""
-    backend: Annotated[str, arg(metavar="NAME,NAME,...")] = "mujoco"
-    """engines, all on the same grasps; the column `ratio` compares each with the first"""
-    json: _Json = False
-    """print JSON instead of a table"""
-
-    def run(self) -> int:
-        """Run one batch per object and backend."""
-        from gmdx.scenes.gripper import load_gripper
-        from gmdx.studies.throughput import trial_figures
-        from gmdx.trials.run import open_backend
-
-        gripper = load_gripper(self.gripper)
-        backends = [name.strip() for name in self.backend.split(",")]
-        for name in backends:
-            open_backend(name)  # a wrong name is refused before any object is prepared
-        found = [
-            figures
-            for scene in _scenes(self.objects)
-            for figures in trial_figures(
-                scene, grasps=self.grasps, gripper=gripper, backends=backends
-            )
-        ]
-        _show("gmdx bench trials", found, as_json=self.json)
         return 0
 
 
@@ -224,15 +188,19 @@ class Patches:
         return 0
 
 
-def _numbers(text: str) -> list[int]:
-    """`1,2` as numbers."""
+def numbers(text: str, *, option: str) -> list[int]:
+    """`1,2` as numbers from 1 on.
+
+    Raises:
+        UsageError: Naming the option.
+    """
     try:
-        numbers = [int(word) for word in text.split(",")]
+        found = [int(word) for word in text.split(",")]
     except ValueError as error:
-        raise UsageError(f"--workers takes numbers such as 1,2, not {text!r}") from error
-    if min(numbers) < 1:
-        raise UsageError(f"--workers takes numbers from 1 on, not {text!r}")
-    return numbers
+        raise UsageError(f"{option} takes numbers such as 1,2, not {text!r}") from error
+    if min(found) < 1:
+        raise UsageError(f"{option} takes numbers from 1 on, not {text!r}")
+    return found
 
 
 def _scenes(objects: tuple[str, ...]) -> Iterator["Scene"]:

@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg
 from tyro.conf import subcommand as named
 from tyro.constructors import PrimitiveConstructorSpec
 
-from gmdx import bench
+from gmdx import bench, bench_parity, bench_trials
 from gmdx.config import as_toml, load_toml, merge
 from gmdx.errors import GmdxError, GripperError, UsageError
 from gmdx.terminal import complain, console, following, interrupts_kept, say
@@ -247,11 +247,12 @@ class _Report:
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure the pipeline, its trials, its depth images or its epsilon qualities here."""
+    """Measure the pipeline, its trials, their engines, its depth images or its epsilon here."""
 
     of: (
         Annotated[bench.Pipeline, named("pipeline")]
-        | Annotated[bench.Trials, named("trials")]
+        | Annotated[bench_trials.Trials, named("trials")]
+        | Annotated[bench_parity.Parity, named("parity")]
         | Annotated[bench.Depth, named("depth")]
         | Annotated[bench.Epsilon, named("epsilon")]
         | Annotated[bench.Lines, named("lines")]

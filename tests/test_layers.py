@@ -22,6 +22,8 @@ COMPOSERS = (
     "run_config",
     "cli",
     "bench",
+    "bench_parity",
+    "bench_trials",
     "show",
     "terminal",
     "__init__",

@@ -21,8 +21,6 @@ from gmdx.objects.model import ObjectModel
 from gmdx.scenes.camera import CameraConfig, render
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
-from gmdx.trials.protocol import TrialConfig
-from gmdx.trials.run import open_backend, run_trials
 
 
 @dataclass(frozen=True)
@@ -51,21 +49,6 @@ class WorkerFigures:
     workers: int
     wall_seconds: float
     ratio: float  # of the first run's wall-clock time to this one's
-
-
-@dataclass(frozen=True)
-class TrialFigures:
-    """What trials of one object cost on one backend."""
-
-    object_id: str
-    backend: str
-    hulls: int
-    grasps: int
-    trials_per_second: float
-    steps_per_trial: float
-    step_microseconds: float
-    step_share: float  # of the trials' wall-clock time
-    ratio: float = 1.0  # of the first backend's trials a second to this one's, on the same grasps
 
 
 @dataclass(frozen=True)
@@ -142,49 +125,6 @@ def peak_megabytes() -> float:
     unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kilobytes elsewhere
     who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return max(resource.getrusage(one).ru_maxrss for one in who) * unit / 1e6
-
-
-def trial_figures(
-    scene: Scene,
-    *,
-    grasps: int,
-    gripper: Gripper,
-    config: TrialConfig | None = None,
-    backends: Sequence[str] = ("mujoco",),
-) -> list[TrialFigures]:
-    """Run one batch of trials on each backend.
-
-    Args:
-        scene: The object at rest.
-        grasps: How many grasps, each with the trials that `config` says.
-        gripper: What grasps.
-        config: Of the trials.
-        backends: Names of engines; the first is what the others are compared with.
-
-    Raises:
-        GmdxError: The grasps could not be sampled or run.
-    """
-    batch = sample_grasps(scene, grasps, scene.seed, gripper=gripper)
-    found: list[TrialFigures] = []
-    for backend in backends:
-        open_backend(backend)  # what only the first batch pays is not counted
-        start = time.process_time()
-        results = run_trials(scene, batch, backend, gripper=gripper, config=config)
-        rate = results.outcome.size / (time.process_time() - start)
-        found.append(
-            TrialFigures(
-                object_id=scene.object.object_id,
-                backend=backend,
-                hulls=len(scene.object.hulls),
-                grasps=len(batch),
-                trials_per_second=rate,
-                steps_per_trial=results.steps / results.outcome.size,
-                step_microseconds=1e6 * results.step_seconds / results.steps,
-                step_share=results.step_seconds / results.seconds,
-                ratio=found[0].trials_per_second / rate if found else 1.0,
-            )
-        )
-    return found
 
 
 def depth_figures(scene: Scene, *, images: int, config: CameraConfig | None = None) -> DepthFigures:

@@ -1,0 +1,123 @@
+"""What a measurement ran on, and what its engines compiled and held on their devices."""
+
+import platform
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from gmdx.trials.run import Chosen
+from gmdx.workers import available_cores
+
+_PACKAGES = (
+    "gmdx", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "jax", "jaxlib", "pybullet",
+)  # fmt: skip
+_CPU_FILE = Path("/proc/cpuinfo")
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_FROM_CACHE = "/jax/compilation_cache/cache_hits"
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The host, and the versions of what ran."""
+
+    processor: str
+    cores: int  # that this process may use
+    system: str
+    python: str
+    packages: dict[str, str]  # versions; what is not installed is not listed
+
+
+@dataclass(frozen=True)
+class Compilations:
+    """Programs for a device that this process asked for: Warp's modules, or JAX's functions."""
+
+    compiled: int
+    cached: int  # found on disk, where an earlier process had compiled them
+
+    def since(self, before: "Compilations") -> "Compilations":
+        """What came after `before`."""
+        return Compilations(self.compiled - before.compiled, self.cached - before.cached)
+
+
+def machine() -> Machine:
+    """This machine."""
+    packages = {}
+    for name in _PACKAGES:
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return Machine(
+        processor=_processor(),
+        cores=available_cores(),
+        system=f"{platform.system()} {platform.machine()}",
+        python=platform.python_version(),
+        packages=packages,
+    )
+
+
+def compilations(chosen: Chosen) -> Compilations | None:
+    """What has been compiled for an engine in this process so far; None where nothing is.
+
+    JAX's are counted from the first call on.
+    """
+    if chosen.impl == "warp":
+        from gmdx.trials.mjx_warp_log import kernel_counts
+
+        counts = kernel_counts()
+        return Compilations(counts.compiled, counts.loaded)
+    if chosen.impl == "jax":
+        events = _jax_events()
+        cached = events[_FROM_CACHE]
+        return Compilations(events[_COMPILED] - cached, cached)
+    return None
+
+
+def peak_device_memory(chosen: Chosen) -> int | None:
+    """The most memory that an engine ever held on one device in this process, bytes.
+
+    None where the engine computes on the CPU, or its device does not tell.
+    """
+    if chosen.impl == "warp":
+        import warp
+
+        pools = [device for device in warp.get_cuda_devices() if device.is_mempool_supported]
+        return max((int(warp.get_mempool_used_mem_high(pool)) for pool in pools), default=None)
+    if chosen.impl == "jax":
+        import jax
+
+        stats: list[dict[str, Any]] = [one.memory_stats() or {} for one in jax.local_devices()]
+        peaks = (one.get("peak_bytes_in_use") for one in stats)
+        return max((int(peak) for peak in peaks if peak is not None), default=None)
+    return None
+
+
+@lru_cache(maxsize=1)
+def _jax_events() -> Counter[str]:
+    """A count of JAX's events by name, which grows while the process runs."""
+    import jax
+
+    events: Counter[str] = Counter()
+
+    def count(event: str, **_: str | int) -> None:
+        events[event] += 1
+
+    def count_timed(event: str, duration_secs: float, **_: str | int) -> None:
+        events[event] += 1
+
+    jax.monitoring.register_event_listener(count)
+    jax.monitoring.register_event_duration_secs_listener(count_timed)
+    return events
+
+
+def _processor() -> str:
+    """The processor's name; its architecture where the system does not tell."""
+    if _CPU_FILE.is_file():
+        for line in _CPU_FILE.read_text(encoding="utf-8").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
