@@ -1,6 +1,7 @@
 """Which accelerator JAX computes on, if there is one, and which array kernels that asks for."""
 
 import logging
+import os
 from functools import lru_cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -17,8 +18,10 @@ def accelerator() -> str | None:
     JAX, which takes half a second and 130 MB to import, is only asked where one of the plugins
     is installed by which it reaches accelerators.
     """
-    if not (entry_points(group="jax_plugins") or find_spec("jax_plugins") or find_spec("libtpu")):
+    if not (entry_points(group="jax_plugins") or installed("jax_plugins") or installed("libtpu")):
         return None
+    # JAX would take most of the memory at once, and worker processes and Warp share the device.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     import jax
 
     try:
@@ -29,10 +32,18 @@ def accelerator() -> str | None:
     return None if platform == "cpu" else platform
 
 
+def installed(module: str) -> bool:
+    """Whether a module could be imported."""
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # not even the package that it would be in
+        return False
+
+
 @lru_cache(maxsize=1)
 def cuda_devices() -> int:
     """How many NVIDIA devices Warp sees; 0 where Warp is not installed."""
-    if find_spec("warp") is None:
+    if not installed("warp"):
         return 0
     import warp
 
@@ -44,12 +55,12 @@ def cuda_devices() -> int:
 
 def has_accelerator() -> bool:
     """Whether trials can run on an accelerator."""
-    return cuda_devices() > 0 or (accelerator() is not None and find_spec("mujoco.mjx") is not None)
+    return installed("mujoco.mjx") and (cuda_devices() > 0 or accelerator() is not None)
 
 
 def warp_fits() -> bool:
     """Whether Warp is the better of MJX's implementations: on NVIDIA, and on a plain CPU."""
-    return find_spec("warp") is not None and (cuda_devices() > 0 or accelerator() is None)
+    return installed("warp") and (cuda_devices() > 0 or accelerator() is None)
 
 
 def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> None:
@@ -70,7 +81,12 @@ def implementation(name: str, *, cpu: str, accelerated: str = "jax") -> str:
         name: The name itself, or `auto`.
         cpu: What `auto` is on a plain CPU.
         accelerated: What `auto` is where JAX has an accelerator.
+
+    Raises:
+        ConfigError: It is JAX, which is not installed.
     """
+    if name == "jax" and not installed("jax"):
+        raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[mjx]'")
     if name != "auto":
         return name
     return cpu if accelerator() is None else accelerated

@@ -6,8 +6,8 @@
   failures.jsonl          a line for each object or scene that was not produced
   objects/<object_id>/
     object.json           source, repair, scale, mass, inertia, stable poses; scenes and failures;
-                          kernels: which implementation ran; qualities: by metric, how many values,
-                          how many certified, the worst gap, and what an audit found
+                          kernels: which engine and implementations ran; qualities: by metric,
+                          how many values, how many certified, the worst gap, what an audit found
     mesh.ply  hulls.npz   what physics saw
     scenes.npz            by scene and view: depth (scene, view, H, W) float32 m, segmentation
                           uint8, intrinsics (3, 3), camera_pose (scene, view, 4, 4) camera to

@@ -161,6 +161,7 @@ def compute_metrics(
         cost=dict(clock.seconds),
         evidence=Evidence(
             kernels={
+                "trials": trials.backend,
                 "closing_lines": on_device(analytical.implementation),
                 "pair_epsilon": on_device(config.quality.implementation),
             },

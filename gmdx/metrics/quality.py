@@ -84,9 +84,9 @@ class Tally:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What metrics rest on: which array kernels ran, and how well the qualities are known."""
+    """What metrics rest on: what computed them, and how well the qualities are known."""
 
-    kernels: dict[str, str] = field(default_factory=dict)  # implementation by kernel
+    kernels: dict[str, str] = field(default_factory=dict)  # implementation by kernel; the engine
     qualities: dict[str, Tally] = field(default_factory=dict)  # by metric
 
     def __add__(self, other: "Evidence") -> "Evidence":

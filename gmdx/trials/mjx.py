@@ -99,7 +99,8 @@ def _implementation(name: str) -> Implementation:
 
         return cast(Implementation, mjx_jax)
     except ModuleNotFoundError as error:
-        missing = {"warp": "warp-lang", "mujoco": "mujoco-mjx"}.get(error.name or "", error.name)
+        parts = str(error.name).split(".")
+        missing = {"warp": "warp-lang", "mujoco": "mujoco-mjx"}.get(parts[0], parts[0])
         raise UsageError(
             f"backend 'mjx' with implementation '{name}' needs {missing}: pip install 'gmdx[mjx]'"
         ) from error
