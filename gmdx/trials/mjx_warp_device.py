@@ -17,6 +17,7 @@ from gmdx.errors import OutOfDeviceMemory
 from gmdx.scenes.build import HEIGHT_QPOS, SLOT_SIZE, GraspModel
 from gmdx.trials import mjx_warp_kernels as kernels
 from gmdx.trials.frames import FACE_COSINE, Digest, Stretch
+from gmdx.trials.mjx_warp_edges import EdgeContacts
 from gmdx.trials.mjx_warp_library import LARGEST, MESH_OF_GEOM, Library
 
 _LOG = logging.getLogger("gmdx")
@@ -101,6 +102,7 @@ class DeviceWorlds:
             by_world = (*library.columns, MESH_OF_GEOM)
             self.model = mjw.put_model(shared, batch_sizes=dict.fromkeys(by_world, capacity))
             self.targets = {name: self._widen(name) for name in by_world}
+            self.model.callback.contactfilter = EdgeContacts(shared.geom_type)
             self.numbers = wp.array(library.numbers, dtype=float)
             self.meshes = wp.array(library.meshes, dtype=int)
             for name, values in library.mesh_arrays.items():
