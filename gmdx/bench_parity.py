@@ -60,7 +60,7 @@ class Parity:
         with interrupts_kept():
             from gmdx.scenes.gripper import load_gripper
             from gmdx.studies.engine_runs import choose_all, refuse_less_than_one
-            from gmdx.studies.parity import parity_figures
+            from gmdx.studies.parity_runs import parity_figures
             from gmdx.trials.protocol import TrialConfig
 
         backends, gripper = names(self.backend), load_gripper(self.gripper)
@@ -77,6 +77,7 @@ class Parity:
                 config=TrialConfig(trials=self.trials),
                 threads=self.threads,
                 batch_size=sizes[0],
+                isolated=True,
                 on_progress=show,
             )
         if self.json:

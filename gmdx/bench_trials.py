@@ -82,6 +82,7 @@ class Trials:
                 backends=backends,
                 batch_sizes=sizes,
                 threads=self.threads,
+                isolated=True,
                 on_progress=show,
             )
         if self.json:
@@ -118,7 +119,7 @@ def showing_runs() -> Iterator[Callable[["RunProgress"], None]]:
     """Progress of runs, on standard error."""
     from gmdx.pipeline import Progress
 
-    with following("trials", things="runs") as show:
+    with following("trials", things="engines") as show:
         yield lambda at: show(Progress(at.label, at.done, at.total, at.trials, ()))
 
 
@@ -132,7 +133,7 @@ _SPEED_NOTES = """\
 us a step: on the clock, inside the engine's step, for one step of one trial
 host ms: processor time of this process for a trial, all threads together
 compiled: programs compiled in the first run + found on disk; in the timed run, which should be 0
-device MB: the most held on one device up to then, from the start of this command"""
+device MB: the most held on one device; each row has a process of its own"""
 
 
 def _show_speed(speed: "TrialSpeed") -> None:

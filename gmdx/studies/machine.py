@@ -1,7 +1,6 @@
 """What a measurement ran on, and what its engines compiled and held on their devices."""
 
 import platform
-from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,7 +15,8 @@ _PACKAGES = (
 )  # fmt: skip
 _CPU_FILE = Path("/proc/cpuinfo")
 _COMPILED = "/jax/core/compile/backend_compile_duration"
-_FROM_CACHE = "/jax/compilation_cache/cache_hits"
+_FROM_DISK = "/jax/compilation_cache/cache_hits"
+_HELPER = 0.3  # s; JAX's own small programs compile faster than this, a step of trials does not
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def machine() -> Machine:
 def compilations(chosen: Chosen) -> Compilations | None:
     """What has been compiled for an engine in this process so far; None where nothing is.
 
-    JAX's are counted from the first call on.
+    JAX's are counted from the first call on, without its own small helpers.
     """
     if chosen.impl == "warp":
         from gmdx.trials.mjx_warp_log import kernel_counts
@@ -70,9 +70,8 @@ def compilations(chosen: Chosen) -> Compilations | None:
         counts = kernel_counts()
         return Compilations(counts.compiled, counts.loaded)
     if chosen.impl == "jax":
-        events = _jax_events()
-        cached = events[_FROM_CACHE]
-        return Compilations(events[_COMPILED] - cached, cached)
+        listener = _jax_listener()
+        return Compilations(listener.compiled, listener.cached)
     return None
 
 
@@ -95,22 +94,33 @@ def peak_device_memory(chosen: Chosen) -> int | None:
     return None
 
 
+class _JaxListener:
+    """Counts what JAX compiles, by the events that it reports."""
+
+    def __init__(self) -> None:
+        self.compiled = self.cached = 0
+        self._found = False
+
+    def on_event(self, event: str, **_: str | int) -> None:
+        """A program found on disk is reported before the time that it took."""
+        self._found |= event == _FROM_DISK
+
+    def on_duration(self, event: str, duration_secs: float, **_: str | int) -> None:
+        if event == _COMPILED:
+            self.cached += self._found
+            self.compiled += not self._found and duration_secs > _HELPER
+            self._found = False
+
+
 @lru_cache(maxsize=1)
-def _jax_events() -> Counter[str]:
-    """A count of JAX's events by name, which grows while the process runs."""
+def _jax_listener() -> _JaxListener:
+    """The one of this process."""
     import jax
 
-    events: Counter[str] = Counter()
-
-    def count(event: str, **_: str | int) -> None:
-        events[event] += 1
-
-    def count_timed(event: str, duration_secs: float, **_: str | int) -> None:
-        events[event] += 1
-
-    jax.monitoring.register_event_listener(count)
-    jax.monitoring.register_event_duration_secs_listener(count_timed)
-    return events
+    listener = _JaxListener()
+    jax.monitoring.register_event_listener(listener.on_event)
+    jax.monitoring.register_event_duration_secs_listener(listener.on_duration)
+    return listener
 
 
 def _processor() -> str:

@@ -1,7 +1,6 @@
 """How far an engine agrees with C MuJoCo on the same seeded trials: outcomes and metrics."""
 
-import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -9,40 +8,22 @@ import numpy as np
 from scipy import stats
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.errors import GmdxError, UsageError
+from gmdx.errors import UsageError
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.grasps.sample import sample_grasps
 from gmdx.metrics.compute import compute_metrics
-from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
 from gmdx.studies.agreement import label_agreement
-from gmdx.studies.engine_runs import (
-    Follower,
-    RunFailure,
-    RunProgress,
-    choose_all,
-    refuse_less_than_one,
-)
-from gmdx.studies.machine import machine
 from gmdx.studies.parity_result import (
     Disagreement,
     EngineParity,
     MetricParity,
     ObjectParity,
-    ParityFigures,
     ParityLimits,
     Share,
 )
 from gmdx.studies.replay import COMPARED
 from gmdx.trials.outcome import Outcome
-from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
-from gmdx.trials.run import open_backend, run_trials
-
-_LOG = logging.getLogger("gmdx")
-
-REFERENCE = "mujoco"
-
 
 LIMITS: Mapping[str, ParityLimits] = MappingProxyType(
     {
@@ -63,72 +44,6 @@ class Measured:
     outcomes: Int[Array, "n t"]  # values of `Outcome`
     values: Mapping[str, Float[Array, "n"]]  # by name, those of `COMPARED`
     force_is_lower_bound: Bool[Array, "n"]
-
-
-def parity_figures(
-    scenes: Sequence[Scene],
-    *,
-    backends: Sequence[str],
-    grasps: int,
-    gripper: Gripper,
-    config: TrialConfig | None = None,
-    threads: int = 1,
-    batch_size: int | None = None,
-    on_progress: Callable[[RunProgress], None] | None = None,
-) -> ParityFigures:
-    """Run the same trials in C MuJoCo and in each engine, all objects in one run, and compare.
-
-    An engine that fails is named in what comes back, and the others go on.
-
-    Args:
-        scenes: Objects at rest.
-        backends: Names of engines; those of `LIMITS` are held to them.
-        grasps: How many of each object, each with the trials that `config` says.
-        gripper: What grasps.
-        config: Of the trials.
-        threads: Of MuJoCo on the CPU; no result depends on it.
-        batch_size: Trials side by side on MJX; no result may depend on it.
-        on_progress: Called at the start and after each run.
-
-    Raises:
-        UsageError: An engine is not known or not installed, or a number is not positive.
-        GmdxError: The grasps could not be sampled, or the reference could not be run.
-    """
-    refuse_less_than_one(
-        grasps=grasps, threads=threads, batch_size=1 if batch_size is None else batch_size
-    )
-    engines = choose_all(backends)
-    config = TrialConfig() if config is None else config
-    batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
-    trials = sum(map(len, batches)) * config.trials
-    follower = Follower(1 + len(engines), on_progress)
-
-    def run(name: str) -> Measured:
-        engine = open_backend(name, threads=threads, batch_size=batch_size)
-        _LOG.info("%s: %d trials", name, trials)
-        results = run_trials(scenes, batches, engine, gripper=gripper, config=config)
-        follower.ran(name, trials)
-        return measure(scenes, batches, results)
-
-    reference = run(REFERENCE)
-    found: list[EngineParity] = []
-    failures: list[RunFailure] = []
-    for chosen in engines:
-        name = str(chosen)
-        try:
-            other = run(name)
-        except (GmdxError, RuntimeError) as error:  # the latter are Warp's and JAX's own
-            failures.append(follower.failed(name, error, runs=1))
-            continue
-        found.append(compare_trials(reference, other, backend=name, limits=LIMITS.get(name)))
-    return ParityFigures(
-        machine=machine(),
-        reference=reference.engine,
-        objects=reference.objects,
-        grasps=len(reference.object),
-        parities=tuple(found),
-        failures=tuple(failures),
-    )
 
 
 def measure(

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gmdx.errors import GmdxError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
 from gmdx.scenes.gripper import Gripper
@@ -22,6 +21,7 @@ from gmdx.studies.engine_runs import (
     RunProgress,
     choose_all,
     refuse_less_than_one,
+    run_apart,
 )
 from gmdx.studies.machine import Machine, compilations, machine, peak_device_memory
 from gmdx.trials.outcome import Outcome
@@ -49,7 +49,7 @@ class TrialFigures:
     seconds: float  # of that run, on the clock
     processor_seconds: float  # of the same, over all threads of the host
     step_seconds: float  # inside the engine's step, on the clock
-    device_bytes: int | None  # the most held on one device by now; None: no device, or unknown
+    device_bytes: int | None  # the most held on one device until then; None: no device, or unknown
     success: float  # share of trials
     failed: int  # trials that diverged or overflowed
     ratio: float | None = None  # of trials a second to the first engine's; None: that failed
@@ -77,7 +77,7 @@ class TrialFigures:
 
 @dataclass(frozen=True)
 class TrialSpeed:
-    """Every engine on the same trials, in one process."""
+    """Every engine on the same trials."""
 
     machine: Machine
     objects: tuple[str, ...]
@@ -88,32 +88,26 @@ class TrialSpeed:
 
 @dataclass(frozen=True)
 class _Case:
-    """An engine, and how it is to run."""
+    """Trials to run in one call, on an engine, and how."""
 
     chosen: Chosen
     batch_size: int | None
     threads: int
-
-    @property
-    def label(self) -> str:
-        return f"{self.chosen}" if self.batch_size is None else f"{self.chosen} x {self.batch_size}"
-
-    def open(self) -> Backend:
-        return open_backend(str(self.chosen), threads=self.threads, batch_size=self.batch_size)
-
-
-@dataclass(frozen=True)
-class _Work:
-    """Trials to run, in one call."""
-
     scenes: Sequence[Scene]
     grasps: Sequence[PlanarGrasp]
     gripper: Gripper
     config: TrialConfig
 
     @property
+    def label(self) -> str:
+        return f"{self.chosen}" if self.batch_size is None else f"{self.chosen} x {self.batch_size}"
+
+    @property
     def trials(self) -> int:
         return sum(map(len, self.grasps)) * self.config.trials
+
+    def open(self) -> Backend:
+        return open_backend(str(self.chosen), threads=self.threads, batch_size=self.batch_size)
 
     def run(self, engine: Backend) -> list[TrialResults]:
         return run_trials(
@@ -130,6 +124,7 @@ def trial_figures(
     backends: Sequence[str] = ("mujoco",),
     batch_sizes: Sequence[int] = (),
     threads: int = 1,
+    isolated: bool = False,
     on_progress: Callable[[RunProgress], None] | None = None,
 ) -> TrialSpeed:
     """Run the same trials twice on each engine, and time the second run.
@@ -145,7 +140,9 @@ def trial_figures(
         batch_sizes: Trials side by side on MJX, a row of figures each, the smallest first; none:
             what the device's memory allows.
         threads: Of MuJoCo on the CPU.
-        on_progress: Called at the start and after each run.
+        isolated: Each row in a process of its own, so that what one engine compiled or holds in
+            memory is no other's; False stays in this process.
+        on_progress: Called at the start and after each row.
 
     Raises:
         UsageError: An engine is not known or not installed, or a number is not positive.
@@ -154,30 +151,29 @@ def trial_figures(
     refuse_less_than_one(grasps=grasps, threads=threads, batch_size=min(batch_sizes, default=1))
     engines = choose_all(backends)
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
-    work = _Work(scenes, batches, gripper, TrialConfig() if config is None else config)
+    config = TrialConfig() if config is None else config
     sizes: list[int | None] = [*sorted(set(batch_sizes))] if batch_sizes else [None]
     cases = [
-        _Case(chosen, size, threads)
+        _Case(chosen, size, threads, scenes, batches, gripper, config)
         for chosen in engines
         for size in (sizes if chosen.impl is not None else [None])
     ]
-    follower = Follower(2 * len(cases), on_progress)
+    follower = Follower(len(cases), on_progress)
     found: list[TrialFigures] = []
     failures: list[RunFailure] = []
     first_rate: float | None = None
     for case in cases:
-        ran = follower.done
-        try:
-            figures = _measure(case, work, follower)
-        except (GmdxError, RuntimeError) as error:  # the latter are Warp's and JAX's own
-            left = 2 - (follower.done - ran)
-            failures.append(follower.failed(case.label, error, runs=left))
+        figures = run_apart(_measure, case, label=case.label, isolated=isolated)
+        if isinstance(figures, RunFailure):
+            failures.append(figures)
+            follower.ran(case.label, 0)
             continue
         if case is cases[0]:
             first_rate = figures.trials_per_second
         if first_rate is not None:
             figures = replace(figures, ratio=figures.trials_per_second / first_rate)
         found.append(figures)
+        follower.ran(case.label, 2 * case.trials)
     return TrialSpeed(
         machine=machine(),
         objects=tuple(scene.object.object_id for scene in scenes),
@@ -187,21 +183,20 @@ def trial_figures(
     )
 
 
-def _measure(case: _Case, work: _Work, follower: Follower) -> TrialFigures:
+def _measure(case: _Case) -> TrialFigures:
     """Two runs on one engine."""
     before = compilations(case.chosen)
     engine = case.open()
-    _LOG.info("%s: %d trials, which first compile what is missing", case.label, work.trials)
+    _LOG.info("%s: %d trials, the first time", case.label, case.trials)
     start = time.perf_counter()
-    work.run(engine)
+    case.run(engine)
     first_seconds = time.perf_counter() - start
-    follower.ran(f"{case.label}, first run", work.trials)
+    _LOG.info("%s: that took %.1f s; the same again, timed", case.label, first_seconds)
 
     between = compilations(case.chosen)
     start, processor_start = time.perf_counter(), time.process_time()
-    results = work.run(engine)
+    results = case.run(engine)
     seconds, processor_seconds = time.perf_counter() - start, time.process_time() - processor_start
-    follower.ran(f"{case.label}, timed run", work.trials)
 
     after = compilations(case.chosen)
     made = again = None
