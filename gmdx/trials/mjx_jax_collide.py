@@ -20,7 +20,7 @@ from gmdx.trials.mjx_jax_hulls import Hulls
 CONTACTS_A_PAIR = 4
 TABLE_CONTACTS = 8
 APART = 1.0  # m, distance of a contact that is none
-_TIE = 1e-7  # m: faces are preferred to edges, and the box's to the hull's, by this
+_TIE = 1e-6  # m: faces are preferred to edges, and the box's to the hull's, by this, as C does
 _SAME = 1e-5  # m: contacts closer than this are one
 _PARALLEL = 1e-9
 

@@ -254,6 +254,17 @@ def _at(problem: _Problem, acceleration: Array) -> _Point:
     )
 
 
+class _Bracket(NamedTuple):
+    """A line search under way."""
+
+    low: Any
+    high: Any
+    step: Any
+    left: Any  # slope at the step before
+    count: Any
+    done: Any
+
+
 def _line_search(problem: _Problem, point: _Point, iterations: int) -> Array:
     """Where the cost along the search direction is least: the root of its rising slope."""
     rows, cones, search = problem.rows, problem.cones, point.search
@@ -287,23 +298,22 @@ def _line_search(problem: _Problem, point: _Point, iterations: int) -> Array:
 
     steepest = jnp.abs(jnp.sum(point.gradient * search))
 
-    def go_on(state: tuple[Array, Array, Array, Array, Array]) -> Array:
-        _, _, _, count, done = state
-        return ~done & (count < iterations)
+    def go_on(state: _Bracket) -> Array:
+        return ~state.done & (state.count < iterations)
 
-    def narrow(
-        state: tuple[Array, Array, Array, Array, Array],
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        low, high, step, count, _ = state
-        first, second = slope(step)
+    def narrow(state: _Bracket) -> _Bracket:
+        first, second = slope(state.step)
         done = ~(jnp.abs(first) > _LINE_ENOUGH * steepest)  # also where it is not a number
-        low = jnp.where(first < 0, step, low)
-        high = jnp.where(first > 0, step, high)
-        newton = step - first / jnp.maximum(second, _TINY)
-        middle = jnp.where(jnp.isinf(high), 2.0 * step, 0.5 * (low + high))
-        proposed = jnp.where((newton > low) & (newton < high), newton, middle)
-        return low, high, jnp.where(done, step, proposed), count + 1, done
+        low = jnp.where(first < 0, state.step, state.low)
+        high = jnp.where(first > 0, state.step, state.high)
+        newton = state.step - first / jnp.maximum(second, _TINY)
+        # Halved unless Newton's method is fast: at kinks it may creep along the bracket.
+        fast = (newton > low) & (newton < high) & (jnp.abs(first) <= 0.5 * state.left)
+        middle = jnp.where(jnp.isinf(high), 2.0 * state.step, 0.5 * (low + high))
+        step = jnp.where(done, state.step, jnp.where(fast, newton, middle))
+        return _Bracket(low, high, step, jnp.abs(first), state.count + 1, done)
 
     zero, one = jnp.zeros_like(steepest), jnp.ones_like(steepest)
-    begin = (zero, jnp.full_like(zero, jnp.inf), one, jnp.zeros((), jnp.int32), steepest == 0)
-    return jax.lax.while_loop(go_on, narrow, begin)[2]
+    infinite = jnp.full_like(zero, jnp.inf)
+    begin = _Bracket(zero, infinite, one, infinite, jnp.zeros((), jnp.int32), steepest == 0)
+    return jax.lax.while_loop(go_on, narrow, begin).step
