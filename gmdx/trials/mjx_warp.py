@@ -13,8 +13,9 @@ import warp as wp
 from gmdx.arrays import Array, Float, Int
 from gmdx.scenes.build import GraspModel, PhysicsConfig
 from gmdx.trials.frames import Stretch, joined
+from gmdx.trials.mjx_warp_buffers import bytes_per_world
 from gmdx.trials.mjx_warp_device import LANES, DeviceWorlds
-from gmdx.trials.mjx_warp_library import build_library, slots_for
+from gmdx.trials.mjx_warp_library import build_library, largest_mesh, slots_for
 from gmdx.trials.mjx_warp_log import listen
 from gmdx.trials.protocol import TrialConfig
 
@@ -96,9 +97,7 @@ def bucket(model: GraspModel) -> int:
     return slots_for(model.model)
 
 
-def open_worlds(
-    models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
-) -> WarpWorlds:
+def open_worlds(models: Sequence[GraspModel], *, capacity: int, config: TrialConfig) -> WarpWorlds:
     """Room for so many trials of these objects, all of one bucket."""
     return WarpWorlds(models, capacity=capacity, physics=config.physics)
 
@@ -121,8 +120,16 @@ def suggested_capacity(models: Sequence[GraspModel]) -> int | None:
 
 
 def bytes_per_trial(models: Sequence[GraspModel]) -> int:
-    """About how much device memory a trial takes beside others."""
-    raise NotImplementedError
+    """About how much device memory one more trial takes, all sizes of buffers together."""
+    sizes = [largest_mesh(grasp.model) for grasp in models]
+    each = bytes_per_world(
+        models[0].model,
+        contacts=CONTACTS,
+        contact_limit=CONTACT_LIMIT,
+        corners=max(size["npolygonmax"] for size in sizes),
+        faces=max(size["nmeshdegmax"] for size in sizes),
+    )
+    return 4 * each // 3  # buffers of a quarter of the size, a sixteenth, ...
 
 
 def _devices() -> list[Any]:

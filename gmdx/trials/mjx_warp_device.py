@@ -4,21 +4,20 @@ import dataclasses
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco.mjx.third_party.mujoco_warp as mjw
-import numpy as np
 import warp as wp
-from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import OutOfDeviceMemory
 from gmdx.scenes.build import HEIGHT_QPOS, SLOT_SIZE, GraspModel
 from gmdx.trials import mjx_warp_kernels as kernels
-from gmdx.trials.frames import FACE_COSINE, Digest, Stretch
+from gmdx.trials.frames import FACE_COSINE, Stretch
+from gmdx.trials.mjx_warp_buffers import ChunkArrays, chunk_arrays, constraint_rows, stretch
 from gmdx.trials.mjx_warp_edges import EdgeContacts
 from gmdx.trials.mjx_warp_library import LARGEST, MESH_OF_GEOM, Library
+from gmdx.trials.mjx_warp_log import listen
 
 _LOG = logging.getLogger("gmdx")
 
@@ -26,7 +25,6 @@ LANES = 2  # launches under way at once: the host prepares one while the device 
 # Kernels are compiled for the number of worlds that a model's arrays are for, and look up row
 # `world % number`. Arrays of any capacity say they are for this many, and share the kernels.
 _WORLDS = 2**20
-_FAILURES = OverflowType.NEFC | OverflowType.NJMAX_NNZ | OverflowType.CONTACT_MATCH
 
 
 @contextmanager
@@ -39,30 +37,6 @@ def device_memory(what: str) -> Iterator[None]:
         if "failed to allocate" in text or "out of memory" in text:
             raise OutOfDeviceMemory(f"no device memory for {what}: {error}") from error
         raise
-
-
-@dataclass(frozen=True)
-class _Arrays:
-    """What goes to the device for a chunk of s steps of n worlds, and what comes back."""
-
-    index: Any  # (n) int, -1 for none
-    state: Any  # (n, q + v)
-    control: Any  # (n, s, 3)
-    force: Any  # (s, 3)
-    count: Any  # (n) int
-    flags: Any  # (n, s) int, of the digest
-    motion: Any  # (n, s, MOTION), of the digest
-    last_state: Any  # (n, q + v)
-    qpos_before: Any  # (n, q)
-    last_sensors: Any  # (n, d)
-    last_overflow: Any  # (n) int, OverflowType
-    need: Any  # (2) int: most contacts and most pairs of geoms in any step
-
-    INPUTS = ("index", "state", "control", "force", "count")
-
-    @property
-    def outputs(self) -> list[str]:
-        return [f.name for f in dataclasses.fields(self) if f.name not in self.INPUTS]
 
 
 class DeviceWorlds:
@@ -95,8 +69,7 @@ class DeviceWorlds:
         self.library, self.grasp, self.device = library, grasp, device
         self.capacity, self.contacts, self.contact_limit = capacity, contacts, contact_limit
         shared = library.model
-        condim = int(shared.geom_condim.max())
-        self.rows = condim * contact_limit + shared.neq + int(shared.jnt_limited.sum())
+        self.rows = constraint_rows(shared, contact_limit)
         self.runs: dict[tuple[int, int], _Run] = {}
         with wp.ScopedDevice(device), device_memory("a library of objects"):
             by_world = (*library.columns, MESH_OF_GEOM)
@@ -141,6 +114,7 @@ class DeviceWorlds:
         count: Int[Array, "n"],
     ) -> Callable[[], Stretch]:
         """As `mjx.Worlds.launch`, for at most `capacity` trials."""
+        listen()
         key = self.size_for(len(index)), control.shape[1]
         with wp.ScopedDevice(self.device), device_memory(f"{key[0]} trials side by side"):
             if key not in self.runs:
@@ -151,9 +125,7 @@ class DeviceWorlds:
             with wp.ScopedDevice(self.device), device_memory(f"{key[0]} trials side by side"):
                 found = wait()
                 while isinstance(found, int):
-                    found = self._run_with(key, found).start(
-                        index, state, control, force, count
-                    )()
+                    found = self._run_with(key, found).start(index, state, control, force, count)()
                 return found
 
         return result
@@ -173,41 +145,14 @@ class _Run:
 
     def __init__(self, owner: DeviceWorlds, size: int, steps: int) -> None:
         self.owner, self.size, self.steps = owner, size, steps
+        shared = owner.library.model
         self.room = max(owner.contacts * size, owner.contact_limit)
-        self.data = mjw.make_data(
-            owner.library.model, nworld=size, naconmax=self.room, njmax=owner.rows
-        )
-        self.arrays = self._allocate(owner.device, pinned=False)
+        self.data = mjw.make_data(shared, nworld=size, naconmax=self.room, njmax=owner.rows)
+        self.arrays = chunk_arrays(shared, size, steps, owner.device, pinned=False)
         cuda = owner.device.is_cuda
-        self.host = [self._allocate("cpu", pinned=cuda) for _ in range(LANES)]
+        self.host = [chunk_arrays(shared, size, steps, "cpu", pinned=cuda) for _ in range(LANES)]
         self.lane = 0
         self.graph: Any = None
-
-    def _allocate(self, device: Any, *, pinned: bool) -> _Arrays:
-        shared, size, steps = self.owner.library.model, self.size, self.steps
-        shapes = {
-            "index": (size,),
-            "state": (size, shared.nq + shared.nv),
-            "control": (size, steps, 3),
-            "force": (steps, 3),
-            "count": (size,),
-            "flags": (size, steps),
-            "motion": (size, steps, kernels.MOTION),
-            "last_state": (size, shared.nq + shared.nv),
-            "qpos_before": (size, shared.nq),
-            "last_sensors": (size, shared.nsensordata),
-            "last_overflow": (size,),
-            "need": (2,),
-        }
-        whole = ("index", "count", "flags", "last_overflow", "need")
-        return _Arrays(
-            **{
-                name: wp.zeros(
-                    shape, dtype=int if name in whole else float, device=device, pinned=pinned
-                )
-                for name, shape in shapes.items()
-            }
-        )
 
     def start(
         self,
@@ -231,7 +176,7 @@ class _Run:
         host.state.numpy()[n:] = 0.0
         host.state.numpy()[n:, [2, 3, HEIGHT_QPOS]] = 1.0
 
-        for name in _Arrays.INPUTS:
+        for name in ChunkArrays.INPUTS:
             wp.copy(getattr(self.arrays, name), getattr(host, name))
         self._run()
         for name in host.outputs:
@@ -245,7 +190,7 @@ class _Run:
             if need > self.room:
                 return need
             time = state[:, 0] + count * float(self.owner.library.model.opt.timestep)
-            return _stretch(host, n, nq, time)
+            return stretch(host, n, nq, time)
 
         return wait
 
@@ -289,21 +234,49 @@ class _Run:
             wp.launch(
                 kernels.drive,
                 dim=self.size,
-                inputs=[step, arrays.count, arrays.control, arrays.force]
-                + [owner.grasp.object_body, shared.nq, data.qpos],
+                inputs=[
+                    step,
+                    arrays.count,
+                    arrays.control,
+                    arrays.force,
+                    owner.grasp.object_body,
+                    shared.nq,
+                    data.qpos,
+                ],
                 outputs=[data.ctrl, data.xfrc_applied, arrays.qpos_before],
             )
             mjw.step(owner.model, data)
             wp.launch(
                 kernels.observe,
                 dim=self.size,
-                inputs=[step, arrays.count, shared.nq, shared.nv, shared.nsensordata]
-                + [layout.pads[0].start, layout.pads[1].start, layout.slots, SLOT_SIZE]
-                + [layout.hand, layout.hand_table, FACE_COSINE]
-                + [data.qpos, data.qvel, data.sensordata]
-                + [data.overflow, data.nacon, data.ncollision],
-                outputs=[arrays.flags, arrays.motion, arrays.last_state]
-                + [arrays.last_sensors, arrays.last_overflow, arrays.need],
+                inputs=[
+                    step,
+                    arrays.count,
+                    shared.nq,
+                    shared.nv,
+                    shared.nsensordata,
+                    layout.pads[0].start,
+                    layout.pads[1].start,
+                    layout.slots,
+                    SLOT_SIZE,
+                    layout.hand,
+                    layout.hand_table,
+                    FACE_COSINE,
+                    data.qpos,
+                    data.qvel,
+                    data.sensordata,
+                    data.overflow,
+                    data.nacon,
+                    data.ncollision,
+                ],
+                outputs=[
+                    arrays.flags,
+                    arrays.motion,
+                    arrays.last_state,
+                    arrays.last_sensors,
+                    arrays.last_overflow,
+                    arrays.need,
+                ],
             )
 
 
@@ -312,29 +285,3 @@ def _clear(record: Any) -> None:
         values = getattr(record, field.name)
         if isinstance(values, wp.array) and values.size > 0:
             values.zero_()
-
-
-def _stretch(host: _Arrays, n: int, nq: int, time: Float[Array, "n"]) -> Stretch:
-    """What came back of the first n worlds, copied."""
-
-    def own(name: str) -> Array:
-        values: Array = getattr(host, name).numpy()[:n]
-        return values.copy() if values.dtype.kind == "i" else values.astype(float)
-
-    flags, motion = own("flags"), own("motion")
-    return Stretch(
-        state=np.concatenate([time[:, None], own("last_state")], axis=1),
-        qpos_at_sensors=own("qpos_before"),
-        sensors=own("last_sensors"),
-        failed=np.zeros(n, bool),
-        overflowed=(own("last_overflow") & int(_FAILURES)) != 0,
-        steps=Digest(
-            collides=(flags & kernels.COLLIDES) != 0,
-            touches=(flags & kernels.TOUCHES) != 0,
-            presses=(flags & kernels.PRESSES) != 0,
-            speed=motion[..., 0],
-            offset=motion[..., 1:4],
-            velocity=motion[..., 4:7],
-            rise=motion[..., 7],
-        ),
-    )

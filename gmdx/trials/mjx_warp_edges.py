@@ -6,6 +6,7 @@ faces, and is left with one contact at the crossing, whose normal is up to 5 deg
 does not keep the object from turning. These kernels do what it leaves out.
 """
 
+# ruff: noqa: UP018, RUF046 (Warp takes a literal for a constant: a variable is declared by a cast)
 import math
 from typing import Any, no_type_check
 
@@ -235,18 +236,49 @@ class EdgeContacts:
         wp.launch(
             mark_several,
             dim=data.naconmax,
-            inputs=[before, data.naconmax, contact.geom, contact.worldid]
-            + [contact.geomcollisionid, self.box_of_geom],
+            inputs=[
+                before,
+                data.naconmax,
+                contact.geom,
+                contact.worldid,
+                contact.geomcollisionid,
+                self.box_of_geom,
+            ],
             outputs=[several],
         )
         wp.launch(
             lay_edges,
             dim=data.naconmax,
-            inputs=[before, data.naconmax, model.geom_type, model.geom_dataid, model.geom_size]
-            + [model.mesh_vertadr, model.mesh_vertnum, model.mesh_vert]
-            + [data.geom_xpos, data.geom_xmat, self.box_of_geom, several],
-            outputs=[contact.dist, contact.pos, contact.frame, contact.includemargin]
-            + [contact.friction, contact.solref, contact.solreffriction, contact.solimp]
-            + [contact.dim, contact.geom, contact.efc_address, contact.worldid, contact.type]
-            + [contact.geomcollisionid, contact.adhesion, data.nacon],
+            inputs=[
+                before,
+                data.naconmax,
+                model.geom_type,
+                model.geom_dataid,
+                model.geom_size,
+                model.mesh_vertadr,
+                model.mesh_vertnum,
+                model.mesh_vert,
+                data.geom_xpos,
+                data.geom_xmat,
+                self.box_of_geom,
+                several,
+            ],
+            outputs=[
+                contact.dist,
+                contact.pos,
+                contact.frame,
+                contact.includemargin,
+                contact.friction,
+                contact.solref,
+                contact.solreffriction,
+                contact.solimp,
+                contact.dim,
+                contact.geom,
+                contact.efc_address,
+                contact.worldid,
+                contact.type,
+                contact.geomcollisionid,
+                contact.adhesion,
+                data.nacon,
+            ],
         )

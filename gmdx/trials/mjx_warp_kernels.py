@@ -3,6 +3,7 @@
 `observe` is the twin of `frames.digest`.
 """
 
+# ruff: noqa: UP018, RUF046 (Warp takes a literal for a constant: a variable is declared by a cast)
 from typing import no_type_check
 
 import warp as wp

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.arrays import Array, Float, Int
 from gmdx.errors import UsageError
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.scenes.build import OBJECT, GraspModel, PhysicsConfig, grasp_model
@@ -144,9 +144,14 @@ def build_library(models: Sequence[GraspModel], physics: PhysicsConfig) -> Libra
         columns=_columns(shared),
         mesh_arrays=joined,
         largest={
-            name: max(int(getattr(grasp.model, name)) for grasp in models) for name in LARGEST
+            name: max(largest_mesh(grasp.model)[name] for grasp in models) for name in LARGEST
         },
     )
+
+
+def largest_mesh(model: mujoco.MjModel) -> dict[str, int]:
+    """LARGEST of one model."""
+    return {name: int(getattr(model, name)) for name in LARGEST}
 
 
 def slots_model(gripper: Gripper, physics: PhysicsConfig, size: int) -> mujoco.MjModel:
@@ -262,5 +267,4 @@ def _joined_meshes(models: Sequence[mujoco.MjModel]) -> tuple[dict[str, Array], 
 
 
 def _shift(addresses: Int[Array, "k"], offset: int) -> Int[Array, "k"]:
-    present: Bool[Array, "k"] = addresses >= 0
-    return np.where(present, addresses + offset, addresses)
+    return np.where(addresses >= 0, addresses + offset, addresses)

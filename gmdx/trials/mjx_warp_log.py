@@ -45,11 +45,12 @@ def listen() -> None:
     """Start Warp with its messages in our log; more calls change nothing."""
     if not isinstance(wp.get_logger(), _Listener):
         wp.set_logger(_Listener())
+    wp.config.log_level = wp.LOG_INFO  # the modules that it builds are told of at this level
     wp.init()
 
 
 def kernel_counts() -> KernelCounts:
-    """How many modules of kernels this process has built and loaded; equal counts, no new kernel."""
+    """How many modules of kernels this process has built or loaded so far."""
     listen()
     listener = wp.get_logger()
     return KernelCounts(listener.compiled, listener.loaded)
