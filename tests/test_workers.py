@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from gmdx.errors import DatasetError
-from gmdx.workers import THREAD_VARIABLES, Crash, Finished, run_tasks
+from gmdx.workers import LATER, THREAD_VARIABLES, Crash, Finished, run_tasks
 from tests.runs import interrupts_heard
 
 
@@ -61,6 +63,30 @@ def test_every_task_is_done_once(workers: int) -> None:
     results = list(run_tasks(double, range(7), workers=workers))
     assert sorted(item.task for item in results) == list(range(7))
     assert all(item.result == 2 * item.task for item in results)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_tasks_can_follow_from_results(workers: int) -> None:
+    """Every number begets its half, which the stream of tasks learns from the results."""
+    known, open_tasks, seen = [40, 7], 0, []
+
+    def tasks() -> Iterator[int]:
+        nonlocal open_tasks
+        while known or open_tasks:
+            if not known:
+                yield cast(int, LATER)
+                continue
+            open_tasks += 1
+            yield known.pop()
+
+    for item in run_tasks(double, tasks(), workers=workers):
+        open_tasks -= 1
+        assert item.result == 2 * item.task
+        seen.append(item.task)
+        if item.task > 1:
+            known.append(item.task // 2)
+    assert sorted(seen) == sorted([40, 20, 10, 5, 2, 1, 7, 3, 1])
     assert not multiprocessing.active_children()
 
 

@@ -1,7 +1,7 @@
 """What the outcome rules look at: pure functions of states and contact sensors, for every engine.
 
-`digest` takes NumPy arrays and JAX's alike, so that an engine on an accelerator hands back a few
-numbers a step, and not its states.
+`digest_fields` takes NumPy arrays and JAX's alike, so that an engine on an accelerator hands back a
+few numbers a step, and not its states.
 """
 
 from collections.abc import Sequence
@@ -61,8 +61,18 @@ def pads_press(sensors: Any, layout: ContactSensors) -> Any:
     return xp.stack([slots[..., _FORCE].max(axis=-1) > 0 for slots in (first, second)], axis=-1)
 
 
-def digest(qpos: Any, qvel: Any, sensors: Any, layout: ContactSensors) -> Digest:
-    """Steps as the rules see them.
+def digest(
+    qpos: Float[Array, "n s q"],
+    qvel: Float[Array, "n s v"],
+    sensors: Float[Array, "n s d"],
+    layout: ContactSensors,
+) -> Digest:
+    """Steps as the rules see them; states are after each step, sensors at its start."""
+    return Digest(**digest_fields(qpos, qvel, sensors, layout))
+
+
+def digest_fields(qpos: Any, qvel: Any, sensors: Any, layout: ContactSensors) -> dict[str, Any]:
+    """The fields of a `Digest`, of any leading shape.
 
     Args:
         qpos: (..., q), after each step, of NumPy or of JAX.
@@ -80,18 +90,18 @@ def digest(qpos: Any, qvel: Any, sensors: Any, layout: ContactSensors) -> Digest
     hand = sensors[..., layout.hand]
     linear = xp.concatenate([qvel[..., :3], qvel[..., 6:]], axis=-1)
     finite = xp.isfinite(qpos).all(axis=-1) & xp.isfinite(qvel).all(axis=-1)
-    return Digest(
-        collides=(sensors[..., layout.hand_table] > 0)
+    return {
+        "collides": (sensors[..., layout.hand_table] > 0)
         | off_face[0]
         | off_face[1]
         | (hand > by_pads),
-        touches=hand > 0,
-        presses=xp.any(pads_press(sensors, layout), axis=-1),
-        speed=xp.where(finite, xp.abs(linear).max(axis=-1), xp.inf),
-        offset=from_tool(qpos),
-        velocity=qvel[..., :3],
-        rise=qvel[..., HEIGHT_QVEL],
-    )
+        "touches": hand > 0,
+        "presses": xp.any(pads_press(sensors, layout), axis=-1),
+        "speed": xp.where(finite, xp.abs(linear).max(axis=-1), xp.inf),
+        "offset": from_tool(qpos),
+        "velocity": qvel[..., :3],
+        "rise": qvel[..., HEIGHT_QVEL],
+    }
 
 
 def within(count: Int[Array, "n"], steps: int) -> Bool[Array, "n s"]:

@@ -78,3 +78,12 @@ def test_fingers_can_cross_the_whole_stroke(schedule: Schedule) -> None:
 def test_wrong_configurations_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):
         TrialConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_controls_of_some_steps_are_those_of_all(schedule: Schedule) -> None:
+    grasp, start = np.array([0.02, 0.05]), np.array([0.1, 0.11])
+    for phase in (schedule.approach, schedule.lift, schedule.push):
+        whole = phase.controls(grasp, start)
+        for first in range(0, len(phase), 7):
+            part = phase.controls(grasp, start, slice(first, first + 7))
+            np.testing.assert_array_equal(part, whole[:, first : first + 7])
