@@ -22,6 +22,7 @@ from gmdx.bench_trials import (
     short,
     showing_runs,
 )
+from gmdx.errors import UsageError
 from gmdx.terminal import console, interrupts_kept, say
 
 if TYPE_CHECKING:
@@ -59,14 +60,16 @@ class Parity:
         """Run every engine, and show how it differs."""
         with interrupts_kept():
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engine_runs import choose_all, refuse_less_than_one
+            from gmdx.studies.engine_runs import choose_all, refuse_idle_sizes, refuse_less_than_one
             from gmdx.studies.parity_runs import parity_figures
             from gmdx.trials.protocol import TrialConfig
 
         backends, gripper = names(self.backend), load_gripper(self.gripper)
-        sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else [None]
+        sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else []
+        if len(sizes) > 1:
+            raise UsageError(f"--batch-size takes one number here, not {self.batch_size}")
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
-        choose_all(backends)  # what is wrong is refused before any object is prepared
+        refuse_idle_sizes(choose_all(backends), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
         with showing_runs() as show:
             figures = parity_figures(
@@ -76,7 +79,7 @@ class Parity:
                 gripper=gripper,
                 config=TrialConfig(trials=self.trials),
                 threads=self.threads,
-                batch_size=sizes[0],
+                batch_size=sizes[0] if sizes else None,
                 isolated=True,
                 on_progress=show,
             )

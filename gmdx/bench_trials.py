@@ -64,14 +64,14 @@ class Trials:
         """Run every engine, and show what it took."""
         with interrupts_kept():
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engine_runs import choose_all, refuse_less_than_one
+            from gmdx.studies.engine_runs import choose_all, refuse_idle_sizes, refuse_less_than_one
             from gmdx.studies.trial_speed import trial_figures
             from gmdx.trials.protocol import TrialConfig
 
         backends, gripper = names(self.backend), load_gripper(self.gripper)
         sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else []
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
-        choose_all(backends)  # what is wrong is refused before any object is prepared
+        refuse_idle_sizes(choose_all(backends), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
         with showing_runs() as show:
             speed = trial_figures(
@@ -171,7 +171,8 @@ def _show_speed(speed: "TrialSpeed") -> None:
     say(_SPEED_NOTES)
     for name, engine in dict.fromkeys((row.backend, row.engine) for row in speed.figures):
         threads = next(row.threads for row in speed.figures if row.backend == name)
-        say(f"{name}: {engine}" + ("" if threads is None else f", {threads} of the cores"))
+        used = "" if threads is None else f", {threads} thread{'s' if threads > 1 else ''}"
+        say(f"{name}: {engine}{used}")
     say_machine(speed.machine)
 
 

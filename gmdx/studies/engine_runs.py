@@ -101,6 +101,17 @@ def choose_all(backends: Sequence[str]) -> list[Chosen]:
     return [choose(name) for name in backends]
 
 
+def refuse_idle_sizes(engines: Sequence[Chosen], batch_sizes: Sequence[int]) -> None:
+    """Refuse batch sizes where no engine takes any.
+
+    Raises:
+        UsageError: Naming the engines.
+    """
+    if batch_sizes and all(chosen.impl is None for chosen in engines):
+        names = ", ".join(map(str, engines))
+        raise UsageError(f"batch sizes are for mjx-warp and mjx-jax, and not for {names}")
+
+
 def refuse_less_than_one(**counts: int) -> None:
     """Refuse numbers of things below 1.
 

@@ -14,6 +14,7 @@ from gmdx.studies.engine_runs import (
     RunFailure,
     RunProgress,
     choose_all,
+    refuse_idle_sizes,
     refuse_less_than_one,
     run_apart,
 )
@@ -94,6 +95,7 @@ def parity_figures(
         grasps=grasps, threads=threads, batch_size=1 if batch_size is None else batch_size
     )
     engines = choose_all(backends)
+    refuse_idle_sizes(engines, [] if batch_size is None else [batch_size])
     config = TrialConfig() if config is None else config
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
     follower = Follower(1 + len(engines), on_progress)

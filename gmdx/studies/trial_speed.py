@@ -20,6 +20,7 @@ from gmdx.studies.engine_runs import (
     RunFailure,
     RunProgress,
     choose_all,
+    refuse_idle_sizes,
     refuse_less_than_one,
     run_apart,
 )
@@ -145,11 +146,13 @@ def trial_figures(
         on_progress: Called at the start and after each row.
 
     Raises:
-        UsageError: An engine is not known or not installed, or a number is not positive.
+        UsageError: An engine is not known or not installed, a number is not positive, or there
+            are batch sizes but no engine that takes them.
         GmdxError: The grasps could not be sampled.
     """
     refuse_less_than_one(grasps=grasps, threads=threads, batch_size=min(batch_sizes, default=1))
     engines = choose_all(backends)
+    refuse_idle_sizes(engines, batch_sizes)
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
     config = TrialConfig() if config is None else config
     sizes: list[int | None] = [*sorted(set(batch_sizes))] if batch_sizes else [None]
