@@ -86,7 +86,7 @@ class Parity:
         if self.json:
             say(json.dumps(figures.as_json(), indent=1))
         else:
-            _show_parity(figures)
+            show_parity(figures)
         return ENGINE_FAILED if figures.failures else DONE
 
 
@@ -97,7 +97,7 @@ force, relative: of grasps that are pushed out, or would be, in both engines
 X_norm columns are X divided by the object's bound_l; they are in the JSON"""
 
 
-def _show_parity(figures: "ParityFigures") -> None:
+def show_parity(figures: "ParityFigures") -> None:
     """For each engine a table of at most 100 columns, and one of the outcomes that differ."""
     for parity in figures.parities:
         console().print(_parity_table(parity))
