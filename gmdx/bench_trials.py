@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
+from rich.box import SIMPLE_HEAVY
 from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
@@ -39,8 +40,8 @@ class Trials:
     meanwhile. The processor time that the host spent beside stands in its own column; for MuJoCo
     on one thread it is what the clock would show on an idle machine.
 
-    A trial is some 300 to 600 steps. MuJoCo takes about 30 microseconds a step on one core; on a
-    CPU Warp takes about 2 milliseconds and JAX more: ask for few grasps there.
+    A trial is about 200 steps. MuJoCo takes about 30 microseconds a step on one core, Warp about 2
+    milliseconds where it has no device but the CPU, and JAX more: ask for few grasps there.
     """
 
     objects: Objects = ("bundled",)
@@ -89,7 +90,7 @@ class Trials:
             rows = [_with_rates(row) for row in speed.figures]
             say(json.dumps(dataclasses.asdict(speed) | {"figures": rows}, indent=1))
         else:
-            _show_speed(speed)
+            show_speed(speed)
         return ENGINE_FAILED if speed.failures else DONE
 
 
@@ -136,10 +137,10 @@ compiled: programs compiled in the first run + found on disk; in the timed run, 
 device MB: the most held on one device; each row has a process of its own"""
 
 
-def _show_speed(speed: "TrialSpeed") -> None:
+def show_speed(speed: "TrialSpeed") -> None:
     """One table of at most 100 columns, and what it ran on."""
     title = f"gmdx bench trials ({len(speed.objects)} objects, {speed.grasps} grasps)"
-    table = Table(title=title)
+    table = Table(title=title, box=SIMPLE_HEAVY, collapse_padding=True, pad_edge=False)
     table.add_column("backend", no_wrap=True)
     columns = (
         "batch", "trials\na second", "steps a\nsecond", "us a\nstep", "host\nms", "first\nrun s",

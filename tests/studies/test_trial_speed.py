@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax.monitoring
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import gmdx.trials
+from gmdx.bench_trials import show_speed
 from gmdx.cli import main
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.sample import sample_grasps
@@ -214,6 +216,30 @@ def test_the_command_prints_a_table_and_json(
     assert max(map(len, printed.splitlines())) <= 100
     for word in ("trials", "us a", "compiled", "device", f"mujoco {mujoco.__version__}, 2 threads"):
         assert word in printed
+
+
+def test_figures_of_any_size_fit_the_table(
+    scenes: list[Scene], capsys: pytest.CaptureFixture[str]
+) -> None:
+    speed = trial_figures(scenes, grasps=1, gripper=GRIPPER, config=TrialConfig(trials=1))
+    (row,) = speed.figures
+    on_device = {"backend": "mjx-warp", "compiled": 120, "cached": 120, "compiled_again": 0}
+    slow = replace(
+        row, **on_device, batch_size=4, seconds=123.4, processor_seconds=99.9, step_seconds=99.9,
+        first_seconds=1234.5, ratio=1.23e-4,
+    )  # fmt: skip
+    fast = replace(
+        row, **on_device, batch_size=16384, trials=100_000, steps=45_678_901, seconds=3.2,
+        device_bytes=139 * 10**9, failed=3, ratio=123.4,
+    )  # fmt: skip
+    failure = RunFailure("mjx-jax x 4", "no memory")
+    show_speed(replace(speed, figures=(row, slow, fast), failures=(failure,)))
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 100
+    assert "mjx-warp: 3 of 100000 trials diverged or overflowed" in printed
+    assert "mjx-jax x 4 failed: no memory" in printed
+    assert "mjx-warp x 4: filled" in printed
+    assert "120+120; 0" in printed
 
 
 @pytest.mark.parametrize("command", ["trials", "parity"])
