@@ -121,6 +121,7 @@ def suggested_capacity(models: Sequence[GraspModel]) -> int | None:
 
 def bytes_per_trial(models: Sequence[GraspModel]) -> int:
     """About how much device memory one more trial takes, all sizes of buffers together."""
+    listen()
     sizes = [largest_mesh(grasp.model) for grasp in models]
     each = bytes_per_world(
         models[0].model,

@@ -259,7 +259,7 @@ def _joined_meshes(models: Sequence[mujoco.MjModel]) -> tuple[dict[str, Array], 
     for name, target in _MESH_ADDRESSES.items():
         shifted = [
             # A mesh without a graph has the address -1.
-            _shift(getattr(model, name), offset)
+            _shift(getattr(model, name), int(offset))
             for model, offset in zip(models, before(target), strict=True)
         ]
         joined[name] = np.concatenate(shifted)
