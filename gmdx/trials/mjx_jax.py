@@ -9,21 +9,22 @@ One compiled step serves all objects of a bucket, all phases, and any mixture of
 import functools
 import importlib.metadata
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import OutOfDeviceMemory, UsageError
 from gmdx.scenes.build import HEIGHT_QPOS, GraspModel
-from gmdx.trials.frames import Digest, Stretch, digest, joined
+from gmdx.trials.frames import Digest, Stretch, joined
+from gmdx.trials.mjx_jax_alike import check_alike
+from gmdx.trials.mjx_jax_chunk import Outcome, by_trial, compiled_chunk, on_each
 from gmdx.trials.mjx_jax_compile import enable_compilation_cache
+from gmdx.trials.mjx_jax_constraints import Shape
 from gmdx.trials.mjx_jax_hulls import Bucket, bucket
-from gmdx.trials.mjx_jax_rig import Body, Rig, check_alike, read_body, read_rig
-from gmdx.trials.mjx_jax_step import Moment, Shape, step
+from gmdx.trials.mjx_jax_rig import read_body, read_rig
 from gmdx.trials.protocol import TrialConfig
 
 _T = TypeVar("_T")
@@ -81,7 +82,7 @@ class JaxWorlds:
         if not self.double:
             rig = rig._replace(tolerance=np.maximum(rig.tolerance, _SINGLE_TOLERANCE))
         with jax.enable_x64(self.double):
-            shared = NamedSharding(self.mesh, PartitionSpec())
+            shared = on_each(self.mesh)
             self.rig = _guarded(lambda: _put(rig, self.double, shared))
             library = jax.tree.map(lambda *values: np.stack(values), *bodies)
             self.bodies = _guarded(lambda: _put(library, self.double, shared))
@@ -110,9 +111,7 @@ class JaxWorlds:
         def wait() -> Stretch:
             return joined(
                 [
-                    _guarded(
-                        lambda part=part, found=found: self._fetch(found, state[part], count[part])
-                    )
+                    _guarded(functools.partial(self._fetch, found, state[part], count[part]))
                     for part, found in zip(parts, waiting, strict=True)
                 ]
             )
@@ -127,21 +126,20 @@ class JaxWorlds:
         control: Float[Array, "n s 3"],
         force: Float[Array, "s 3"],
         count: Int[Array, "n"],
-    ) -> "_Outcome":
+    ) -> "Outcome":
         """Fill up to a size that is compiled, with trials that run no step."""
         rows = np.minimum(np.arange(size), len(index) - 1)
         steps = np.where(np.arange(size) < len(index), count[rows], 0).astype(np.int32)
-        split = NamedSharding(self.mesh, PartitionSpec("trials"))
-        whole = NamedSharding(self.mesh, PartitionSpec())
+        split, whole = by_trial(self.mesh), on_each(self.mesh)
         qpos, qvel = _parts(state[rows])
         with jax.enable_x64(self.double):
 
-            def run() -> _Outcome:
+            def run() -> Outcome:
                 number = _put(index[rows].astype(np.int32), self.double, split)
                 trials = _put((qpos, qvel, control[rows]), self.double, split)
                 ends = _put(steps, self.double, split)
                 push = _put(np.array(force), self.double, whole)
-                found: _Outcome = _compiled(self.shape, self.mesh)(
+                found: Outcome = compiled_chunk(self.shape, self.mesh)(
                     self.rig, self.bodies, number, *trials, push, ends
                 )
                 return found
@@ -149,7 +147,7 @@ class JaxWorlds:
             return _guarded(run)
 
     def _fetch(
-        self, found: "_Outcome", state: Float[Array, "n d"], count: Int[Array, "n"]
+        self, found: "Outcome", state: Float[Array, "n d"], count: Int[Array, "n"]
     ) -> Stretch:
         """Wait for a call, and hand back its numbers without those that filled it up."""
 
@@ -199,18 +197,6 @@ def device() -> str:
     return f"{', '.join(versions)}, {len(found)} x {found[0].device_kind}"
 
 
-class _Outcome(NamedTuple):
-    """What a call leaves on the device."""
-
-    qpos: Any  # (n 10)
-    qvel: Any  # (n 9)
-    qpos_at_sensors: Any  # (n 10)
-    sensors: Any  # (n d)
-    failed: Any  # (n) bool
-    overflowed: Any  # (n) bool
-    steps: Any  # of `Digest`, by name, (n s ...)
-
-
 def _parts(state: Float[Array, "n d"]) -> tuple[Float[Array, "n q"], Float[Array, "n v"]]:
     positions = HEIGHT_QPOS + 3
     return state[:, 1 : 1 + positions], state[:, 1 + positions :]
@@ -249,7 +235,7 @@ def _put(tree: Any, double: bool, sharding: NamedSharding) -> Any:
     """Copies on the devices, floats in the precision of the step."""
     kind = np.float64 if double else np.float32
 
-    def one(value: Any) -> jax.Array:
+    def one(value: Any) -> Any:
         array = np.array(value, dtype=kind if np.asarray(value).dtype.kind == "f" else None)
         return jax.device_put(array, sharding)
 
@@ -268,64 +254,3 @@ def _guarded(compute: Callable[[], _T]) -> _T:
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
         raise OutOfDeviceMemory(f"JAX's device is out of memory: {str(error)[:200]}") from error
-
-
-@functools.lru_cache(maxsize=64)
-def _compiled(shape: Shape, mesh: Mesh) -> Callable[..., _Outcome]:
-    """The steps of a chunk, compiled once for each batch size."""
-    run = functools.partial(_chunk, shape=shape)
-    if mesh.size > 1:  # each device runs loops of its own, and waits for no other
-        split, whole = PartitionSpec("trials"), PartitionSpec()
-        inputs = (whole, whole, split, split, split, split, whole, split)
-        run = jax.shard_map(run, mesh=mesh, in_specs=inputs, out_specs=split, check_vma=False)
-    compiled: Callable[..., _Outcome] = jax.jit(run)
-    return compiled
-
-
-def _chunk(
-    rig: Rig,
-    bodies: Body,
-    number: jax.Array,
-    qpos: jax.Array,
-    qvel: jax.Array,
-    control: jax.Array,
-    push: jax.Array,
-    count: jax.Array,
-    *,
-    shape: Shape,
-) -> _Outcome:
-    """Steps of n trials; each stays as it is after its last one."""
-    every = jax.vmap(functools.partial(step, shape=shape), in_axes=(None, None, 0, 0, 0, None))
-
-    def one(carry: Any, item: Any) -> tuple[Any, Any]:
-        now, before, sensors, failed, overflowed = carry
-        order, controls, force = item
-        after, seen = every(rig, bodies, number, now, controls, force)
-        steps = digest(after.qpos, after.qvel, seen.sensors, shape.layout)
-        runs = (order < count) & ~failed
-        well = jnp.isfinite(after.qpos).all(axis=1) & jnp.isfinite(after.qvel).all(axis=1)
-
-        def kept(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where((runs & well)[:, None], new, old)
-
-        carry = (
-            jax.tree.map(kept, after, now),
-            kept(now.qpos, before),
-            kept(seen.sensors, sensors),
-            failed | (runs & ~well),
-            overflowed | (runs & seen.overflowed),
-        )
-        return carry, vars(steps)
-
-    begin = (
-        Moment(qpos, qvel, jnp.zeros_like(qvel)),
-        qpos,
-        jnp.zeros((len(qpos), shape.sensors), qpos.dtype),
-        jnp.zeros(len(qpos), bool),
-        jnp.zeros(len(qpos), bool),
-    )
-    items = jnp.arange(control.shape[1]), jnp.moveaxis(control, 1, 0), push
-    carry, steps = jax.lax.scan(one, begin, items)
-    now, before, sensors, failed, overflowed = carry
-    steps = {name: jnp.moveaxis(value, 0, 1) for name, value in steps.items()}
-    return _Outcome(now.qpos, now.qvel, before, sensors, failed, overflowed, steps)

@@ -1,11 +1,4 @@
-"""Contacts of boxes and of the table with convex hulls, in fixed shapes, for one world.
-
-Two convex bodies that overlap are parted along the direction of least depth, found among the
-face normals of both and the cross products of their edges (separating axis test, with the Gauss
-map of Gregorius, GDC 2013). Along that direction the depth of the overlap is a concave function
-of the lateral position whose vertices are the hull's vertices, the box's corners and the
-crossings of their edges: the contacts are the deepest of these and three that span the patch.
-"""
+"""Contacts of a world: the gripper's boxes with an object's hulls, and points with the table."""
 
 from typing import Any, NamedTuple
 
@@ -16,21 +9,16 @@ from jax import Array
 from jaxtyping import Float
 
 from gmdx.trials.mjx_jax_hulls import Hulls
+from gmdx.trials.mjx_jax_narrow import (
+    APART,
+    CONTACTS_A_PAIR,
+    Manifold,
+    box_hull,
+    hull_in_box,
+    turn,
+)
 
-CONTACTS_A_PAIR = 4
 TABLE_CONTACTS = 8
-APART = 1.0  # m, distance of a contact that is none
-_TIE = 1e-6  # m: faces are preferred to edges, and the box's to the hull's, by this, as C does
-_SAME = 1e-5  # m: contacts closer than this are one
-_PARALLEL = 1e-9
-
-
-class Manifold(NamedTuple):
-    """Up to k contacts; `distance` is negative where they press, normals point into the second."""
-
-    distance: Any  # (k) m
-    position: Any  # (k 3) m, midway between the surfaces
-    normal: Any  # (k 3)
 
 
 class Boxes(NamedTuple):
@@ -39,28 +27,6 @@ class Boxes(NamedTuple):
     half: Any  # (b 3) m
     position: Any  # (b 3) m
     rotation: Any  # (b 3 3) axes as columns
-
-
-class Hull(NamedTuple):
-    """One hull's numbers in a box's frame."""
-
-    vertices: Any  # (v 3) m
-    normals: Any  # (f 3)
-    offsets: Any  # (f) m
-    starts: Any  # (e 3) m, of edges
-    ends: Any  # (e 3) m
-    left: Any  # (e 3) normals of the faces beside each edge
-    right: Any  # (e 3)
-
-
-def dot(a: Array, b: Array) -> Array:
-    """Sums of products along the last axis, never in reduced precision as matrix products are."""
-    return jnp.sum(a * b, axis=-1)
-
-
-def turn(matrix: Array, vectors: Array) -> Array:
-    """Vectors (n 3), or one (3), turned by a matrix (3 3)."""
-    return jnp.sum(vectors[..., None, :] * matrix, axis=-1)
 
 
 def box_gaps(
@@ -90,195 +56,6 @@ def box_gaps(
         jnp.max(along_hull - hull_half[None] - reach_box[:, None], axis=-1),
     )
     return jnp.where(hulls.used[number][None], gaps, jnp.inf)
-
-
-def hull_in_box(
-    hulls: Hulls,
-    which: tuple[Array, ...],
-    place: Float[Array, "3"],
-    axes: Float[Array, "3 3"],
-    position: Float[Array, "3"],
-    rotation: Float[Array, "3 3"],
-) -> Hull:
-    """A hull of an object at `place` with `axes`, in the frame of a box.
-
-    Args:
-        hulls: Of an object, or of several.
-        which: Index of the hull along the leading axes of `hulls`.
-        place: m, of the object.
-        axes: Of the object, as columns.
-        position: m, of the box.
-        rotation: Axes of the box, as columns.
-    """
-    to_box = jnp.sum(rotation[:, :, None] * axes[:, None, :], axis=0)
-    shift = turn(rotation.T, place - position)
-    vertices = shift + turn(to_box, hulls.vertices[which])
-    normals = turn(to_box, hulls.normals[which])
-    edges, sides = hulls.edges[which], hulls.edge_faces[which]
-    return Hull(
-        vertices=vertices,
-        normals=normals,
-        offsets=hulls.offsets[which] + dot(normals, shift),
-        starts=vertices[edges[:, 0]],
-        ends=vertices[edges[:, 1]],
-        left=normals[sides[:, 0]],
-        right=normals[sides[:, 1]],
-    )
-
-
-def box_hull(half: Float[Array, "3"], hull: Hull) -> Manifold:
-    """Contacts of a box with a hull, in the box's frame; normals point into the hull."""
-    gap, normal = _parting(half, hull)
-    depth, surface = _depths(half, hull, normal)
-    depth = jnp.where(gap < 0, depth, -APART)
-    chosen, distinct = _spread(depth, surface, normal)
-    deep = depth[chosen]
-    distance = jnp.where(distinct & (deep > 0), -deep, APART)
-    position = surface[chosen] - 0.5 * jnp.where(distance < 0, deep, 0.0)[:, None] * normal
-    return Manifold(distance, position, jnp.broadcast_to(normal, position.shape))
-
-
-def _parting(half: Array, hull: Hull) -> tuple[Array, Array]:
-    """The widest gap between box and hull, m (negative: depth), and its direction into the hull."""
-    eye = jnp.eye(3, dtype=half.dtype)
-    gaps = jnp.concatenate([hull.vertices.min(axis=0) - half, -hull.vertices.max(axis=0) - half])
-    best = jnp.argmax(gaps)
-    gap, normal = gaps[best], jnp.concatenate([eye, -eye])[best]
-
-    gaps = -dot(jnp.abs(hull.normals), half) - hull.offsets
-    best = jnp.argmax(gaps)
-    better = gaps[best] > gap + _TIE
-    gap = jnp.where(better, gaps[best], gap)
-    normal = jnp.where(better, -hull.normals[best], normal)
-
-    along = hull.ends - hull.starts
-    axes = jnp.cross(along[:, None, :], eye[None])
-    length = jnp.sqrt(dot(axes, axes))
-    usable = length > 1e-3 * jnp.sqrt(dot(along, along))[:, None]
-    axes = axes / jnp.where(usable, length, 1.0)[..., None]
-    left, right, along = hull.left[:, None], hull.right[:, None], along[:, None]
-    axes = jnp.where(dot(axes, left + right)[..., None] < 0, -axes, axes)
-    bend = dot(jnp.cross(left, right), along)
-    between = (dot(jnp.cross(left, axes), along) * bend >= 0) & (
-        dot(jnp.cross(axes, right), along) * bend >= 0
-    )
-    gaps = -dot(jnp.abs(axes), half) - dot(axes, hull.starts[:, None])
-    gaps = jnp.where(usable & between, gaps, -jnp.inf).ravel()
-    best = jnp.argmax(gaps)
-    better = gaps[best] > gap + _TIE
-    gap = jnp.where(better, gaps[best], gap)
-    normal = jnp.where(better, -axes.reshape(-1, 3)[best], normal)
-    return gap, normal
-
-
-# Corners of the face across each axis, in order around it.
-_FACES = np.array(
-    [
-        [[1, 1, 1], [1, -1, 1], [1, -1, -1], [1, 1, -1]],
-        [[1, 1, 1], [-1, 1, 1], [-1, 1, -1], [1, 1, -1]],
-        [[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]],
-    ]
-)
-
-
-def _depths(half: Array, hull: Hull, normal: Array) -> tuple[Array, Array]:
-    """Depth along the normal at every vertex of the overlap, and its point on the box's surface."""
-    axis = jnp.argmax(jnp.abs(normal))
-    facing = jnp.where((jnp.arange(3) == axis) & (normal[axis] < 0), -1.0, 1.0)
-    corners = jnp.asarray(_FACES, half.dtype)[axis] * facing * half
-
-    at_vertices = _out_of_box(half, hull.vertices, normal)
-    under_vertices = hull.vertices + at_vertices[:, None] * normal
-    at_corners = _out_of_hull(hull, corners, normal)
-    at_crossings, crossings = _crossings(corners, hull, normal)
-    depth = jnp.concatenate([at_vertices, at_corners, at_crossings])
-    return depth, jnp.concatenate([under_vertices, corners, crossings])
-
-
-def _out_of_box(half: Array, points: Array, normal: Array) -> Array:
-    """How far points of the hull must go along the normal to leave the box; -APART beside it."""
-    level = jnp.abs(normal) < _PARALLEL
-    slope = jnp.where(level, 1.0, normal)
-    side = jnp.sign(slope) * half
-    leave = jnp.where(level, jnp.inf, (side - points) / slope).min(axis=-1)
-    enter = jnp.where(level, -jnp.inf, (-side - points) / slope).max(axis=-1)
-    beside = jnp.any(level & (jnp.abs(points) > half), axis=-1)
-    return jnp.where((leave >= enter) & ~beside, leave, -APART)
-
-
-def _out_of_hull(hull: Hull, points: Array, normal: Array) -> Array:
-    """How far points of the box must go against the normal to leave the hull."""
-    rate = -dot(hull.normals, normal)
-    slack = hull.offsets - dot(points[:, None], hull.normals)
-    level = jnp.abs(rate) < _PARALLEL
-    time = slack / jnp.where(level, 1.0, rate)
-    leave = jnp.where(rate >= _PARALLEL, time, jnp.inf).min(axis=-1)
-    enter = jnp.where(rate <= -_PARALLEL, time, -jnp.inf).max(axis=-1)
-    beside = jnp.any(level & (slack < 0), axis=-1)
-    return jnp.where((leave >= enter) & ~beside, leave, -APART)
-
-
-def _crossings(corners: Array, hull: Hull, normal: Array) -> tuple[Array, Array]:
-    """Where edges of the box's face and of the hull cross, seen along the normal."""
-    start = corners[:, None]
-    side = jnp.roll(corners, -1, axis=0)[:, None] - start
-    along = (hull.ends - hull.starts)[None]
-    between = hull.starts[None] - start
-    across = dot(jnp.cross(side, along), normal)
-    level = jnp.abs(across) < _PARALLEL * jnp.sqrt(dot(side, side) * dot(along, along))
-    across = jnp.where(level, 1.0, across)
-    on_box = dot(jnp.cross(between, along), normal) / across
-    on_hull = dot(jnp.cross(between, side), normal) / across
-    meets = ~level & (on_box >= 0) & (on_box <= 1) & (on_hull >= 0) & (on_hull <= 1)
-    points = start + on_box[..., None] * side
-    depth = dot(points - (hull.starts[None] + on_hull[..., None] * along), normal)
-    return jnp.where(meets, depth, -APART).ravel(), points.reshape(-1, 3)
-
-
-def _spread(depth: Array, points: Array, normal: Array) -> tuple[Array, Array]:
-    """The deepest point and three that span the widest patch with it; whether they are distinct."""
-    inside = depth > 0
-
-    def widest(measure: Array) -> Array:
-        return jnp.argmax(jnp.where(inside, measure, -jnp.inf))
-
-    a = jnp.argmax(depth)
-    away = points - points[a]
-    b = widest(dot(away, away))
-    base = away[b] - dot(away[b], normal) * normal
-    length = jnp.sqrt(dot(base, base))
-    lateral = dot(jnp.cross(normal, base), away) / jnp.where(length > 0, length, 1.0)
-    c = widest(jnp.abs(lateral))
-    opposite = -jnp.sign(lateral[c]) * lateral
-    d = widest(opposite)
-    distinct = jnp.stack(
-        [inside[a], length > _SAME, jnp.abs(lateral[c]) > _SAME, opposite[d] > _SAME]
-    )
-    return jnp.stack([a, b, c, d]), distinct & inside[jnp.stack([a, b, c, d])]
-
-
-_AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
-
-
-def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:
-    """The deepest of points below the table and the outermost in seven directions.
-
-    A flat table feels no difference: what lies between them bears no other load.
-
-    Returns:
-        The contacts, and the index of each one's point.
-    """
-    below = points[:, 2] < 0
-    reach = jnp.asarray(np.cos(_AROUND), points.dtype)[:, None] * points[:, 0]
-    reach = reach + jnp.asarray(np.sin(_AROUND), points.dtype)[:, None] * points[:, 1]
-    outer = jnp.argmax(jnp.where(below, reach, -jnp.inf), axis=1)
-    chosen = jnp.concatenate([jnp.argmin(points[:, 2])[None], outer])
-    again = jnp.any(jnp.tril(chosen[:, None] == chosen[None], k=-1), axis=1)
-    height = points[chosen, 2]
-    distance = jnp.where(~again & below[chosen], height, APART)
-    position = points[chosen].at[:, 2].add(-0.5 * height)
-    up = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0], points.dtype), position.shape)
-    return Manifold(distance, position, up), chosen
 
 
 def pair_contacts(
@@ -323,3 +100,27 @@ def pair_contacts(
         distance.ravel(), found.position.reshape(-1, 3), found.normal.reshape(-1, 3)
     )
     return contacts, jnp.repeat(box, CONTACTS_A_PAIR), jnp.sum(gaps < 0) > pairs
+
+
+_AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
+
+
+def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:
+    """The deepest of points below the table and the outermost in seven directions.
+
+    A flat table feels no difference: what lies between them bears no other load.
+
+    Returns:
+        The contacts, and the index of each one's point.
+    """
+    below = points[:, 2] < 0
+    reach = jnp.asarray(np.cos(_AROUND), points.dtype)[:, None] * points[:, 0]
+    reach = reach + jnp.asarray(np.sin(_AROUND), points.dtype)[:, None] * points[:, 1]
+    outer = jnp.argmax(jnp.where(below, reach, -jnp.inf), axis=1)
+    chosen = jnp.concatenate([jnp.argmin(points[:, 2])[None], outer])
+    again = jnp.any(jnp.tril(chosen[:, None] == chosen[None], k=-1), axis=1)
+    height = points[chosen, 2]
+    distance = jnp.where(~again & below[chosen], height, APART)
+    position = points[chosen].at[:, 2].add(-0.5 * height)
+    up = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0], points.dtype), position.shape)
+    return Manifold(distance, position, up), chosen

@@ -19,9 +19,9 @@ def enable_compilation_cache() -> None:
 
     A folder that the user has configured for JAX is left as it is.
     """
-    configured = jax.config.jax_compilation_cache_dir or os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    if not configured:
-        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
+    settings: Any = jax.config  # untyped in JAX
+    if not (settings.jax_compilation_cache_dir or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
+        settings.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
 
 
 @dataclass
@@ -41,9 +41,9 @@ def watched_compilations() -> Iterator[Compilations]:
     """Count the compilations of this process meanwhile."""
     found = Compilations()
 
-    def on_duration(event: str, duration: float, **_: Any) -> None:
+    def on_duration(event: str, duration_secs: float, **_: Any) -> None:
         if event == _COMPILED:
-            found.seconds.append(duration)
+            found.seconds.append(duration_secs)
 
     def on_event(event: str, **_: Any) -> None:
         if event == _FROM_DISK:

@@ -155,12 +155,7 @@ def _generalised(problem: _Problem, row_force: Array, contact_force: Array) -> A
 
 def _cost(problem: _Problem, acceleration: Array) -> Array:
     row_error, cone_error = _errors(problem, acceleration)
-    return _cost_of(problem, acceleration, row_error, cone_error)
-
-
-def _cost_of(problem: _Problem, acceleration: Array, row_error: Array, cone_error: Array) -> Array:
-    away = acceleration - problem.free
-    rows = problem.rows
+    away, rows = acceleration - problem.free, problem.rows
     active = rows.always | (row_error < 0)
     _, cost, _ = _cone_force(problem.cones, cone_error)
     return (
@@ -298,7 +293,7 @@ def _line_search(problem: _Problem, point: _Point, iterations: int) -> Array:
 
     steepest = jnp.abs(jnp.sum(point.gradient * search))
 
-    def go_on(state: _Bracket) -> Array:
+    def go_on(state: _Bracket) -> Any:
         return ~state.done & (state.count < iterations)
 
     def narrow(state: _Bracket) -> _Bracket:
@@ -316,4 +311,5 @@ def _line_search(problem: _Problem, point: _Point, iterations: int) -> Array:
     zero, one = jnp.zeros_like(steepest), jnp.ones_like(steepest)
     infinite = jnp.full_like(zero, jnp.inf)
     begin = _Bracket(zero, infinite, one, infinite, jnp.zeros((), jnp.int32), steepest == 0)
-    return jax.lax.while_loop(go_on, narrow, begin).step
+    found: Array = jax.lax.while_loop(go_on, narrow, begin).step
+    return found

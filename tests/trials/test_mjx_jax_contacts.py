@@ -1,0 +1,169 @@
+"""The JAX implementation's contacts against C MuJoCo's distances, and its hulls against laws."""
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+pytest.importorskip("jax")
+
+import jax
+import jax.numpy as jnp
+
+from gmdx.errors import UsageError
+from gmdx.geometry import quaternion_matrix
+from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
+from gmdx.scenes.gripper import load_gripper
+from gmdx.trials.mjx_jax_alike import check_alike
+from gmdx.trials.mjx_jax_collide import table_contacts
+from gmdx.trials.mjx_jax_hulls import Bucket, Hulls, bucket, object_hulls
+from gmdx.trials.mjx_jax_narrow import Manifold, box_hull, hull_in_box
+from gmdx.trials.mjx_jax_rig import read_rig
+from tests.support import box_object, cylinder_object, mesh_object, sphere_object
+
+HALF = np.array([0.004, 0.01, 0.007])
+
+
+@pytest.fixture(autouse=True)
+def double() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+def _model(obj: object, **physics: float) -> GraspModel:
+    return grasp_model(obj, load_gripper(), PhysicsConfig(**physics))
+
+
+def _poses(count: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    turned = rng.normal(size=(count, 4))
+    matrices = quaternion_matrix(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    return list(zip(rng.uniform(-0.02, 0.02, (count, 3)), matrices, strict=True))
+
+
+@jax.jit
+def _touch(hulls: Hulls, place: jax.Array, axes: jax.Array) -> Manifold:
+    hull = hull_in_box(hulls, (jnp.asarray(0),), place, axes, jnp.zeros(3), jnp.eye(3))
+    return box_hull(jnp.asarray(HALF), hull)
+
+
+def _rocks(count: int) -> np.ndarray:
+    """Corners of a hull without two parallel faces."""
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    return 0.015 * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def _rock(count: int) -> GraspModel:
+    return _model(mesh_object(trimesh.convex.convex_hull(_rocks(count))))
+
+
+def test_filling_up_changes_no_contact() -> None:
+    model = _rock(14)
+    tight = object_hulls(model, Bucket(1, 14))
+    wide = object_hulls(model, Bucket(8, 64))
+    assert wide.vertices.shape == (8, 64, 3)
+    assert wide.used.tolist() == [True] + [False] * 7
+    touching = 0
+    for place, axes in _poses(60, 0):
+        first, second = _touch(tight, place, axes), _touch(wide, place, axes)
+        touching += int(np.any(first.distance < 0))
+        for one, other in zip(first, second, strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert touching > 15
+
+
+@pytest.mark.parametrize(
+    "obj",
+    [
+        box_object((0.03, 0.02, 0.025)),
+        cylinder_object(0.012, 0.03),
+        sphere_object(0.012, subdivisions=2),
+    ],
+    ids=["box", "cylinder", "ball"],
+)
+def test_depths_are_those_of_mujoco(obj: object) -> None:
+    model = _model(obj)
+    m, data = model.model, mujoco.MjData(model.model)
+    hulls = object_hulls(model, bucket(model))
+    hull = next(g for g in range(m.ngeom) if m.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH)
+    box = m.geom("gripper/" + model.gripper.pads[0]).id
+    m.geom_size[box], m.geom_rbound[box] = HALF, np.linalg.norm(HALF)
+    seen = set()
+    for place, axes in _poses(60, 1):
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, axes.ravel())
+        data.qpos[:7] = [*place, *quaternion]
+        mujoco.mj_kinematics(m, data)
+        to_box = data.geom_xmat[box].reshape(3, 3).T
+        # The pad is somewhere else: bring the object to the same place relative to it.
+        data.qpos[:3] = data.geom_xpos[box] + to_box.T @ place
+        mujoco.mju_mat2Quat(quaternion, (to_box.T @ axes).ravel())
+        data.qpos[3:7] = quaternion
+        mujoco.mj_kinematics(m, data)
+        expected = mujoco.mj_geomDistance(m, data, box, hull, 1.0, None)
+        found = float(_touch(hulls, place, axes).distance.min())
+        if expected < -1e-6:
+            assert found == pytest.approx(expected, abs=2e-6)
+        elif expected > 1e-6:
+            assert found > 0
+        seen.add(expected > 0)
+    assert seen == {True, False}
+
+
+def test_a_box_flat_on_a_box_is_met_at_the_corners_of_the_overlap() -> None:
+    model = _model(box_object((0.02, 0.03, 0.01)))
+    hulls = object_hulls(model, bucket(model))
+    place = np.array([0.01399, 0.002, 0.004])  # 10 um deep, along x
+    found = _touch(hulls, place, np.eye(3))
+    np.testing.assert_allclose(found.distance, -1e-5, atol=1e-8)  # hulls are kept in single
+    np.testing.assert_allclose(found.normal, np.tile([1.0, 0.0, 0.0], (4, 1)), atol=1e-7)
+    corners = {(round(y, 6), round(z, 6)) for _, y, z in np.asarray(found.position)}
+    assert corners == {(-0.01, -0.001), (-0.01, 0.007), (0.01, -0.001), (0.01, 0.007)}
+
+
+def test_a_flat_face_rests_on_points_that_hold_its_weight() -> None:
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    ring = np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), np.full(48, -1e-5)])
+    found, _ = jax.jit(table_contacts)(np.concatenate([ring, ring + [0, 0, 0.01]]))
+    points = np.asarray(found.position)[np.asarray(found.distance) < 0]
+    area = ConvexHull(points[:, :2]).volume
+    assert area > 0.85 * np.pi * 0.04**2
+    np.testing.assert_allclose(points[:, 2], -0.5e-5)
+
+
+def test_buckets_are_few_and_hold_what_they_promise() -> None:
+    found = {bucket(_rock(count)) for count in range(5, 17)}
+    assert found == {Bucket(4, 16)}
+    for count in (5, 16):
+        hulls = object_hulls(_rock(count), Bucket(4, 16))
+        assert [hulls.normals.shape, hulls.edges.shape] == [(4, 28, 3), (4, 42, 2)]
+
+
+def test_more_vertices_than_any_bucket_are_refused() -> None:
+    with pytest.raises(UsageError, match="vertices in a convex hull is more"):
+        bucket(_model(sphere_object(0.02, subdivisions=3)))
+
+
+def test_models_that_differ_beyond_the_object_are_refused_by_the_field_s_name() -> None:
+    first = _model(box_object((0.03, 0.04, 0.05)))
+    check_alike([first, _model(box_object((0.02, 0.02, 0.02), mass=0.3, friction=0.4))])
+    with pytest.raises(UsageError, match=r"opt\.timestep"):
+        check_alike([first, _model(box_object((0.03, 0.04, 0.05)), timestep=0.002)])
+    with pytest.raises(UsageError, match="dof_armature"):
+        other = _model(box_object((0.03, 0.04, 0.05)))
+        other.model.dof_armature[8] *= 2
+        check_alike([first, other])
+
+
+def test_grippers_that_the_step_does_not_compute_are_refused() -> None:
+    model = _model(box_object((0.03, 0.04, 0.05)))
+    model.model.dof_frictionloss[7] = 1.0
+    with pytest.raises(UsageError, match="friction in joints"):
+        read_rig(model)
+    with pytest.raises(UsageError, match="other shapes than boxes"):
+        other = _model(box_object((0.03, 0.04, 0.05)))
+        other.model.geom_type[3] = mujoco.mjtGeom.mjGEOM_CAPSULE
+        read_rig(other)
