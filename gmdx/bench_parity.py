@@ -51,6 +51,8 @@ class Parity:
     """trials side by side on MJX; no result may depend on it"""
     threads: int = 1
     """of MuJoCo on the CPU"""
+    floor: bool = True
+    """also compare MuJoCo with itself, every object moved by a micrometre"""
     gripper: GripperName = "parallel_jaw"
     """a shipped gripper, or the description of your own"""
     json: Json = False
@@ -79,6 +81,7 @@ class Parity:
                 gripper=gripper,
                 config=TrialConfig(trials=self.trials),
                 threads=self.threads,
+                floor=self.floor,
                 batch_size=sizes[0] if sizes else None,
                 isolated=True,
                 on_progress=show,
@@ -99,7 +102,7 @@ X_norm columns are X divided by the object's bound_l; they are in the JSON"""
 
 def show_parity(figures: "ParityFigures") -> None:
     """For each engine a table of at most 100 columns, and one of the outcomes that differ."""
-    for parity in figures.parities:
+    for parity in [*([] if figures.floor is None else [figures.floor]), *figures.parities]:
         console().print(_parity_table(parity))
         if parity.disagreements:
             table = Table(
@@ -117,6 +120,8 @@ def show_parity(figures: "ParityFigures") -> None:
             say(f"{parity.backend}: {'pass' if parity.passed else 'FAIL'}")
     say_failures(figures.failures)
     say(_PARITY_NOTES)
+    if figures.floor is not None:
+        say(f"nudged: every object moved by {figures.nudge:g} m; what that changes, chance changes")
     for parity in figures.parities:
         say(f"{parity.backend}: {parity.engine}")
     say(f"reference: {figures.reference}")

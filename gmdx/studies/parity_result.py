@@ -148,12 +148,17 @@ class ParityFigures:
     reference: str  # the engine, with its version
     objects: tuple[str, ...]
     grasps: int
+    nudge: float  # m, that every object is moved by in `floor`
+    floor: EngineParity | None  # the reference against itself: what rounding can come to
     parities: tuple[EngineParity, ...]
     failures: tuple[RunFailure, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Everything."""
-        return asdict(self) | {"parities": [parity.as_json() for parity in self.parities]}
+        return asdict(self) | {
+            "floor": None if self.floor is None else self.floor.as_json(),
+            "parities": [parity.as_json() for parity in self.parities],
+        }
 
 
 def _without_nan(value: Any) -> Any:

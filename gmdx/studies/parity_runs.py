@@ -2,7 +2,9 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from gmdx.errors import GmdxError
 from gmdx.grasps.grasp import PlanarGrasp
@@ -28,6 +30,7 @@ from gmdx.trials.run import run_trials
 _LOG = logging.getLogger("gmdx")
 
 REFERENCE = "mujoco"
+NUDGE = 1e-6  # m, that objects are moved by to see what a small change comes to
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ def parity_figures(
     config: TrialConfig | None = None,
     threads: int = 1,
     batch_size: int | None = None,
+    floor: bool = True,
     isolated: bool = False,
     on_progress: Callable[[RunProgress], None] | None = None,
 ) -> ParityFigures:
@@ -84,6 +88,8 @@ def parity_figures(
         config: Of the trials.
         threads: Of MuJoCo on the CPU; no result depends on it.
         batch_size: Trials side by side on MJX; no result may depend on it.
+        floor: Also run the reference with every object moved by `NUDGE`, to see how much of a
+            difference says nothing about an engine.
         isolated: Each engine in a process of its own; False stays in this process.
         on_progress: Called at the start and after each engine.
 
@@ -98,24 +104,32 @@ def parity_figures(
     refuse_idle_sizes(engines, [] if batch_size is None else [batch_size])
     config = TrialConfig() if config is None else config
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
-    follower = Follower(1 + len(engines), on_progress)
+    follower = Follower(1 + floor + len(engines), on_progress)
 
-    def run(name: str) -> Measured | RunFailure:
-        task = _Task(name, threads, batch_size, scenes, batches, gripper, config)
-        results = run_apart(_run, task, label=name, isolated=isolated)
+    def run(name: str, at: Sequence[Scene], label: str) -> Measured | RunFailure:
+        task = _Task(name, threads, batch_size, at, batches, gripper, config)
+        results = run_apart(_run, task, label=label, isolated=isolated)
         if isinstance(results, RunFailure):
-            follower.ran(name, 0)
+            follower.ran(label, 0)
             return results
-        follower.ran(name, task.trials)
-        return measure(scenes, batches, results)
+        follower.ran(label, task.trials)
+        return measure(at, batches, results)
 
-    reference = run(REFERENCE)
+    reference = run(REFERENCE, scenes, REFERENCE)
     if isinstance(reference, RunFailure):
         raise GmdxError(f"the reference {REFERENCE} failed: {reference.error}")
     found: list[EngineParity] = []
     failures: list[RunFailure] = []
+    nudged: EngineParity | None = None
+    if floor:
+        label = f"{REFERENCE}, nudged"
+        other = run(REFERENCE, [_nudged(scene) for scene in scenes], label)
+        if isinstance(other, RunFailure):
+            failures.append(other)
+        else:
+            nudged = compare_trials(reference, other, backend=label)
     for name in map(str, engines):
-        other = run(name)
+        other = run(name, scenes, name)
         if isinstance(other, RunFailure):
             failures.append(other)
         else:
@@ -125,6 +139,13 @@ def parity_figures(
         reference=reference.engine,
         objects=reference.objects,
         grasps=len(reference.object),
+        nudge=NUDGE,
+        floor=nudged,
         parities=tuple(found),
         failures=tuple(failures),
     )
+
+
+def _nudged(scene: Scene) -> Scene:
+    """The object a little to one side, under the same grasps."""
+    return replace(scene, position=scene.position + NUDGE * np.array([0.6, 0.8, 0.0]))

@@ -109,6 +109,20 @@ def test_a_second_run_of_the_reference_is_the_same(scenes: list[Scene]) -> None:
     assert parity.trials == 8
 
 
+def test_a_nudge_changes_metrics_by_about_its_length(scenes: list[Scene]) -> None:
+    figures = parity_figures(scenes[:2], backends=("mujoco",), grasps=4, gripper=GRIPPER)
+    assert figures.floor is not None
+    for name in ("real_s_offset_l", "moved"):
+        assert 0 < figures.floor.metric(name).median < 10 * figures.nudge
+    assert figures.floor.metric("force").worst > 0
+    assert figures.as_json()["floor"]["outcomes"]["agreement"]["value"] > 0.9
+    without = parity_figures(
+        scenes[:1], backends=("mujoco",), grasps=1, gripper=GRIPPER, config=CONFIG, floor=False
+    )
+    assert without.floor is None
+    assert without.as_json()["floor"] is None
+
+
 def test_flipped_outcomes_are_found_one_by_one(measured: Measured) -> None:
     reference = replace(measured, outcomes=np.full((20, 5), Outcome.SUCCESS), **rows_of(20))
     outcomes = reference.outcomes.copy()
