@@ -14,6 +14,7 @@ from gmdx.metrics.compute import compute_metrics
 from gmdx.scenes.scene import Scene
 from gmdx.studies.agreement import label_agreement
 from gmdx.studies.parity_result import (
+    DifferingTrial,
     Disagreement,
     EngineParity,
     MetricParity,
@@ -125,6 +126,16 @@ def compare_trials(
         agreement=Share(value, low, high),
         success=(float((a == Outcome.SUCCESS).mean()), float((b == Outcome.SUCCESS).mean())),
         disagreements=_disagreements(labels.counts),
+        differing=tuple(
+            DifferingTrial(
+                object_id=reference.objects[reference.object[row]],
+                grasp_id=int(reference.grasp_id[row]),
+                trial=int(trial),
+                reference=Outcome(a[row, trial]).label,
+                other=Outcome(b[row, trial]).label,
+            )
+            for row, trial in np.argwhere(~equal)
+        ),
         objects=tuple(
             ObjectParity(name, int(equal[rows].size), float(equal[rows].mean()))
             for number, name in enumerate(reference.objects)

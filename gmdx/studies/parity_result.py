@@ -41,6 +41,17 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
+class DifferingTrial:
+    """One trial that ended otherwise than in the reference."""
+
+    object_id: str
+    grasp_id: int
+    trial: int
+    reference: str  # an outcome's label
+    other: str
+
+
+@dataclass(frozen=True)
 class MetricParity:
     """Absolute differences of one metric over the grasps that have it in both engines."""
 
@@ -81,6 +92,7 @@ class EngineParity:
     agreement: Share
     success: tuple[float, float]  # share of trials, in the reference and in the engine
     disagreements: tuple[Disagreement, ...]  # the most frequent first
+    differing: tuple[DifferingTrial, ...]
     objects: tuple[ObjectParity, ...]
     metrics: tuple[MetricParity, ...]
     force: MetricParity  # the push-out force's difference as a part of the reference's

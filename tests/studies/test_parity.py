@@ -19,7 +19,7 @@ from gmdx.metrics.table import METRICS
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.studies.parity import LIMITS, Measured, compare_trials, measure, wilson
-from gmdx.studies.parity_result import Disagreement, ParityLimits
+from gmdx.studies.parity_result import DifferingTrial, Disagreement, ParityLimits
 from gmdx.studies.parity_runs import parity_figures
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
@@ -137,6 +137,12 @@ def test_flipped_outcomes_are_found_one_by_one(measured: Measured) -> None:
     assert parity.disagreements == (
         Disagreement("success", "lost_in_lift", 3),
         Disagreement("success", "overflowed", 1),
+    )
+    assert parity.differing == (
+        DifferingTrial("box", 0, 0, "success", "lost_in_lift"),
+        DifferingTrial("box", 2, 2, "success", "overflowed"),
+        DifferingTrial("box", 3, 4, "success", "lost_in_lift"),
+        DifferingTrial("cylinder", 9, 1, "success", "lost_in_lift"),
     )
     assert [one.agreement for one in parity.objects] == pytest.approx([47 / 50, 49 / 50])
     assert parity.outcomes.counts[Outcome.SUCCESS, Outcome.SUCCESS] == 96
