@@ -17,7 +17,7 @@ from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 from mujoco.mjx.third_party.mujoco_warp._src.types import GeomType, vec5
 
 _PARALLEL = wp.constant(math.sin(0.0889))  # of edge and face, as in MuJoCo
-_NOISE = wp.constant(6e-8)  # m, of witness points: a contact's normal is known to noise / depth
+_NOISE = wp.constant(1.5e-8)  # m, of witness points: a contact's normal is known to noise / depth
 _BOX, _MESH = wp.constant(int(GeomType.BOX)), wp.constant(int(GeomType.MESH))
 
 
@@ -101,20 +101,24 @@ def lay_edges(
             lowest = height
             deepest = first + i
     other = int(-1)
-    flat = int(0)
     noise = wp.max(1.0e-5, _NOISE / wp.max(-contact_dist[contact], 1.0e-9))
     flattest = noise
     for i in range(mesh_vertnum[data]):
         if first + i != deepest:
             gap = mesh_vert[first + i] - mesh_vert[deepest]
             slope = wp.dot(gap, along) / wp.length(gap)
-            if slope < noise:
-                flat += 1
             if slope < flattest:
                 flattest = slope
                 other = first + i
-    if flat != 1:  # a vertex or a face of the hull
-        return
+    if other < 0:
+        return  # a vertex of the hull
+    line = wp.normalize(mesh_vert[other] - mesh_vert[deepest])
+    for i in range(mesh_vertnum[data]):
+        if first + i != deepest:
+            gap = mesh_vert[first + i] - mesh_vert[deepest]
+            if wp.dot(gap, along) < noise * wp.length(gap):
+                if wp.length(wp.cross(gap, line)) > 0.02 * wp.length(gap):
+                    return  # a face of the hull
 
     # In the box's own axes.
     to_box = wp.transpose(geom_xmat[world, box])
