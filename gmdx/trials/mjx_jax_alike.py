@@ -61,7 +61,7 @@ def _others(model: GraspModel, name: str) -> Array:
     """Rows of a field that are not the object's."""
     m = model.model
     if name.startswith("body_"):
-        rows = np.arange(m.nbody) != model.object_body
+        rows = ~np.isin(np.arange(m.nbody), [0, model.object_body])  # the world sums up all
     elif name.startswith("dof_"):
         rows = np.arange(m.nv) >= HEIGHT_QVEL
     else:

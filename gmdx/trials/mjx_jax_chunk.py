@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from gmdx.trials.frames import digest
+from gmdx.trials.frames import digest_fields
 from gmdx.trials.mjx_jax_constraints import Moment, Shape
 from gmdx.trials.mjx_jax_rig import Body, Rig
 from gmdx.trials.mjx_jax_step import step
@@ -69,7 +69,7 @@ def _chunk(
         now, before, sensors, failed, overflowed = carry
         order, controls, force = item
         after, seen = every(rig, bodies, number, now, controls, force)
-        steps = digest(after.qpos, after.qvel, seen.sensors, shape.layout)
+        steps = digest_fields(after.qpos, after.qvel, seen.sensors, shape.layout)
         runs = (order < count) & ~failed
         well = jnp.isfinite(after.qpos).all(axis=1) & jnp.isfinite(after.qvel).all(axis=1)
 
@@ -83,7 +83,7 @@ def _chunk(
             failed | (runs & ~well),
             overflowed | (runs & seen.overflowed),
         )
-        return carry, vars(steps)
+        return carry, steps
 
     begin = (
         Moment(qpos, qvel, jnp.zeros_like(qvel)),

@@ -14,6 +14,7 @@ from gmdx.trials.mjx_jax_narrow import (
     CONTACTS_A_PAIR,
     Manifold,
     box_hull,
+    dot,
     hull_in_box,
     turn,
 )
@@ -105,6 +106,28 @@ def pair_contacts(
 _AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
 
 
+def hull_table_contacts(points: Float[Array, "v 3"], reach: Array) -> Manifold:
+    """The deepest of a hull's vertices below the table and three more that span its footprint.
+
+    As in C MuJoCo, vertices closer to the deepest than `reach` m add nothing.
+    """
+    below = points[:, 2] < 0
+    deepest = jnp.argmin(points[:, 2])
+    away = points - points[deepest]
+    inside = below & (dot(away, away) > reach**2)
+
+    def widest(measure: Array) -> Array:
+        return jnp.argmax(jnp.where(inside, measure, -jnp.inf))
+
+    far = widest(dot(away, away))
+    lateral = away[:, 0] * away[far, 1] - away[:, 1] * away[far, 0]
+    left, right = widest(lateral), widest(-lateral)
+    chosen = jnp.stack([deepest, far, left, right])
+    again = jnp.any(jnp.tril(chosen[:, None] == chosen[None], k=-1), axis=1)
+    there = below[chosen] & ~again & (inside[chosen] | (jnp.arange(4) == 0))
+    return _on_table(points[chosen], there)
+
+
 def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:
     """The deepest of points below the table and the outermost in seven directions.
 
@@ -119,8 +142,11 @@ def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:
     outer = jnp.argmax(jnp.where(below, reach, -jnp.inf), axis=1)
     chosen = jnp.concatenate([jnp.argmin(points[:, 2])[None], outer])
     again = jnp.any(jnp.tril(chosen[:, None] == chosen[None], k=-1), axis=1)
-    height = points[chosen, 2]
-    distance = jnp.where(~again & below[chosen], height, APART)
-    position = points[chosen].at[:, 2].add(-0.5 * height)
+    return _on_table(points[chosen], ~again & below[chosen]), chosen
+
+
+def _on_table(points: Array, there: Array) -> Manifold:
+    distance = jnp.where(there, points[:, 2], APART)
+    position = points.at[:, 2].multiply(0.5)
     up = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0], points.dtype), position.shape)
-    return Manifold(distance, position, up), chosen
+    return Manifold(distance, position, up)

@@ -9,13 +9,21 @@ import numpy as np
 from jax import Array
 
 from gmdx.scenes.build import HEIGHT_QPOS, HEIGHT_QVEL, SLOT_SIZE, ContactSensors
-from gmdx.trials.mjx_jax_collide import Boxes, pair_contacts, table_contacts
-from gmdx.trials.mjx_jax_narrow import Manifold, dot, turn
+from gmdx.trials.mjx_jax_collide import (
+    Boxes,
+    hull_table_contacts,
+    pair_contacts,
+    table_contacts,
+)
+from gmdx.trials.mjx_jax_hulls import Hulls
+from gmdx.trials.mjx_jax_narrow import APART, Manifold, dot, turn
 from gmdx.trials.mjx_jax_rig import DOFS, SLIDES, Body, Rig
 from gmdx.trials.mjx_jax_solver import Cones, Rows
 
 _LEAST_IMPEDANCE, _MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _TINY = 1e-15  # mjMINVAL
+_FEW_HULLS = 2
+_SPACING = 0.3  # of a hull's radius: contacts with the table closer than this are one
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
@@ -81,12 +89,22 @@ def contacts(rig: Rig, body: Body, number: Array, now: Moment, shape: Shape) -> 
     touches = Manifold(found.distance[kept], found.position[kept], found.normal[kept])
     missed = missed | (jnp.sum(found.distance < 0) > shape.contacts)
 
-    outline = place + turn(axes, body.hulls.outline[number])
-    of_object, _ = table_contacts(outline)
+    of_object = _object_on_table(body.hulls, number, place, axes)
     corners = jnp.asarray(_CORNERS, place.dtype) * boxes.half[:, None]
     corners = boxes.position[:, None] + turn(boxes.rotation[:, None], corners)
     of_gripper, corner = table_contacts(corners.reshape(-1, 3))
     return Contacts(touches, box[kept], of_object, of_gripper, corner // len(_CORNERS), missed)
+
+
+def _object_on_table(hulls: Hulls, number: Array, place: Array, axes: Array) -> Manifold:
+    """Hull by hull where there are few of them, as C MuJoCo does; else of the object as a whole."""
+    if hulls.used.shape[1] > _FEW_HULLS:
+        return table_contacts(place + turn(axes, hulls.outline[number]))[0]
+    points = place + turn(axes, hulls.vertices[number])
+    reach = _SPACING * jnp.sqrt(jnp.sum(hulls.half[number] ** 2, axis=-1))
+    found = jax.vmap(hull_table_contacts)(points, reach)
+    distance = jnp.where(hulls.used[number][:, None], found.distance, APART)
+    return Manifold(distance.ravel(), found.position.reshape(-1, 3), found.normal.reshape(-1, 3))
 
 
 def cones(rig: Rig, body: Body, number: Array, now: Moment, contacts: Contacts) -> Cones:

@@ -17,7 +17,7 @@ from gmdx.errors import UsageError
 from gmdx.geometry import quaternion_matrix
 from gmdx.scenes.build import GraspModel
 
-_HULLS = (4, 8, 16, 32, 64, 96, 128)
+_HULLS = (2, 8, 16, 32, 64, 128)
 _VERTICES = (16, 32, 64, 128, 256)
 _MOST_OUTLINE = 1024  # vertices of an object's own convex hull
 _SHARPEST_FLAT = 1e-3  # rad: faces that meet at less share one plane, and no edge

@@ -54,8 +54,6 @@ def _start(models: list[GraspModel], index: np.ndarray, *, spread: float, seed: 
     gripper, count = models[0].gripper, len(index)
     state = np.zeros((count, 20))
     state[:, 1:3] = rng.uniform(-spread, spread, (count, 2))
-    hulls = [m.model.mesh_vert @ np.eye(3) for m in models]
-    state[:, 3] = [0.5 * np.ptp(hulls[k], axis=0).min() for k in index]
     for row, k in enumerate(index):
         m, data = models[k].model, mujoco.MjData(models[k].model)
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]

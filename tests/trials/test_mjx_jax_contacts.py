@@ -127,7 +127,7 @@ def test_a_box_flat_on_a_box_is_met_at_the_corners_of_the_overlap() -> None:
 def test_a_flat_face_rests_on_points_that_hold_its_weight() -> None:
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     ring = np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), np.full(48, -1e-5)])
-    found, _ = jax.jit(table_contacts)(np.concatenate([ring, ring + [0, 0, 0.01]]))
+    found, _ = jax.jit(table_contacts)(np.concatenate([ring, ring * [1, 1, -1]]))
     points = np.asarray(found.position)[np.asarray(found.distance) < 0]
     area = ConvexHull(points[:, :2]).volume
     assert area > 0.85 * np.pi * 0.04**2
@@ -136,10 +136,10 @@ def test_a_flat_face_rests_on_points_that_hold_its_weight() -> None:
 
 def test_buckets_are_few_and_hold_what_they_promise() -> None:
     found = {bucket(_rock(count)) for count in range(5, 17)}
-    assert found == {Bucket(4, 16)}
+    assert found == {Bucket(2, 16)}
     for count in (5, 16):
-        hulls = object_hulls(_rock(count), Bucket(4, 16))
-        assert [hulls.normals.shape, hulls.edges.shape] == [(4, 28, 3), (4, 42, 2)]
+        hulls = object_hulls(_rock(count), Bucket(2, 16))
+        assert [hulls.normals.shape, hulls.edges.shape] == [(2, 28, 3), (2, 42, 2)]
 
 
 def test_more_vertices_than_any_bucket_are_refused() -> None:
@@ -152,9 +152,9 @@ def test_models_that_differ_beyond_the_object_are_refused_by_the_field_s_name() 
     check_alike([first, _model(box_object((0.02, 0.02, 0.02), mass=0.3, friction=0.4))])
     with pytest.raises(UsageError, match=r"opt\.timestep"):
         check_alike([first, _model(box_object((0.03, 0.04, 0.05)), timestep=0.002)])
+    other = _model(box_object((0.03, 0.04, 0.05)))
+    other.model.dof_armature[8] *= 2
     with pytest.raises(UsageError, match="dof_armature"):
-        other = _model(box_object((0.03, 0.04, 0.05)))
-        other.model.dof_armature[8] *= 2
         check_alike([first, other])
 
 
@@ -163,7 +163,7 @@ def test_grippers_that_the_step_does_not_compute_are_refused() -> None:
     model.model.dof_frictionloss[7] = 1.0
     with pytest.raises(UsageError, match="friction in joints"):
         read_rig(model)
+    other = _model(box_object((0.03, 0.04, 0.05)))
+    other.model.geom_type[3] = mujoco.mjtGeom.mjGEOM_CAPSULE
     with pytest.raises(UsageError, match="other shapes than boxes"):
-        other = _model(box_object((0.03, 0.04, 0.05)))
-        other.model.geom_type[3] = mujoco.mjtGeom.mjGEOM_CAPSULE
         read_rig(other)
