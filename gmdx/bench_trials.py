@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import math
 import textwrap
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
@@ -191,11 +192,13 @@ def say_machine(machine: "Machine") -> None:
 
 
 def short(value: float) -> str:
-    """Three digits that matter; large numbers in thousands or millions."""
+    """The digits that matter; large numbers in thousands or millions."""
+    if math.isnan(value):
+        return "-"
     if value >= 1e7:
         return f"{value / 1e6:,.0f} M"
     if value >= 1e5:
         return f"{value / 1e3:,.0f} k"
     if value >= 100:
         return f"{value:,.0f}"
-    return "-" if value != value else f"{value:.3g}"
+    return f"{value:.3g}" if value >= 1 else f"{value:.2g}"
