@@ -1,8 +1,9 @@
 """Batched trials in JAX, for TPUs and whatever else XLA compiles for, on one device or several.
 
 It is MJX's scheme (one world's step, batched and compiled as a whole) with parts of its own where
-MJX's would not do, so that the step agrees with C MuJoCo's to rounding: hulls in fixed shapes,
-contacts without limits on faces, cones summed contact by contact, and the integrator's details.
+MJX's would not do: hulls in fixed shapes, contacts without limits on faces, cones summed contact
+by contact, and the integrator's details. Where C MuJoCo finds the same contacts, the step agrees
+with its own to rounding.
 One compiled step serves all objects of a bucket, all phases, and any mixture of them.
 """
 

@@ -109,7 +109,8 @@ _AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
 def hull_table_contacts(points: Float[Array, "v 3"], reach: Array) -> Manifold:
     """The deepest of a hull's vertices below the table and three more that span its footprint.
 
-    As in C MuJoCo, vertices closer to the deepest than `reach` m add nothing.
+    Vertices closer to the deepest than `reach` m add nothing. C MuJoCo keeps at most four as well,
+    but chooses others where a footprint has many corners.
     """
     below = points[:, 2] < 0
     deepest = jnp.argmin(points[:, 2])

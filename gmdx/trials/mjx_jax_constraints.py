@@ -97,7 +97,7 @@ def contacts(rig: Rig, body: Body, number: Array, now: Moment, shape: Shape) -> 
 
 
 def _object_on_table(hulls: Hulls, number: Array, place: Array, axes: Array) -> Manifold:
-    """Hull by hull where there are few of them, as C MuJoCo does; else of the object as a whole."""
+    """Hull by hull where there are few, as C MuJoCo does; else of the object as a whole."""
     if hulls.used.shape[1] > _FEW_HULLS:
         return table_contacts(place + turn(axes, hulls.outline[number]))[0]
     points = place + turn(axes, hulls.vertices[number])
