@@ -21,7 +21,7 @@ from gmdx.trials.protocol import TrialConfig
 
 _LOG = logging.getLogger("gmdx")
 
-CONTACTS = 24  # of a trial on average: room to begin with
+CONTACTS = 12  # of a trial on average: room to begin with, as most trials need fewer
 CONTACT_LIMIT = 128  # of one trial: one that has more has overflowed
 _MEMORY_SHARE = 0.6  # of a device's free memory
 

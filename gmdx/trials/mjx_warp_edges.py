@@ -116,9 +116,9 @@ def lay_edges(
     for i in range(mesh_vertnum[data]):
         if first + i != deepest:
             gap = mesh_vert[first + i] - mesh_vert[deepest]
-            if wp.dot(gap, along) < noise * wp.length(gap):
-                if wp.length(wp.cross(gap, line)) > 0.02 * wp.length(gap):
-                    return  # a face of the hull
+            long = wp.length(gap)
+            if wp.dot(gap, along) < noise * long and wp.length(wp.cross(gap, line)) > 0.02 * long:
+                return  # a face of the hull
 
     # In the box's own axes.
     to_box = wp.transpose(geom_xmat[world, box])
