@@ -37,7 +37,7 @@ _PIECE = 32  # trials of one call on a CPU, where more at once are not faster
 _SMALLER = 8  # on an accelerator a second step is compiled for so much smaller batches
 _MOST_PAIRS = {2: 16, 8: 20, 16: 24, 32: 28, 64: 32, 128: 40}  # by hulls
 _CONTACTS = 40  # of the gripper with the object; C MuJoCo finds up to 18 on the busiest objects
-_BYTES_AN_EDGE = 1500  # of a pair, while its contacts are computed
+_BYTES_AN_EDGE = 700  # of a pair, while its contacts are computed, in double precision
 _MEMORY_SHARE = 0.7  # of the free memory that trials may take
 _SINGLE_TOLERANCE = 1e-8  # of the solver where numbers have seven digits
 

@@ -222,6 +222,21 @@ def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
         assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
+def test_single_precision_holds_the_closed_form_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def single(models: list[GraspModel], *, capacity: int, config: TrialConfig) -> JaxWorlds:
+        del config
+        return JaxWorlds(models, capacity=capacity, double=False)
+
+    monkeypatch.setattr(mjx_jax, "open_worlds", single)
+    scene = resting_scene(box_object((0.03, 0.04, 0.05)))
+    center = np.array([[0.0, 0.0, 0.025]])
+    middle = PlanarGrasp(np.array([0]), center, np.zeros(1), np.array([0.05]))
+    trials = run_trials(scene, middle, "mjx", impl="jax", trials=1)
+    expected = 2 * 0.8 * load_gripper().force - 0.1 * GRAVITY
+    assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
+
+
 def test_what_is_not_finite_is_a_named_failure(worlds: JaxWorlds, models: list[GraspModel]) -> None:
     state = _start(models, np.zeros(2, int), spread=0.0, seed=0)
     state[1, 11] = 1e308
