@@ -131,7 +131,7 @@ def lay_edges(
         return  # a vertex of the box
     edge = wp.normalize(way)
     face = int(-1)
-    facing = float(1.0e-4)
+    facing = float(wp.max(1.0e-4, 10.0 * noise))  # a normal's noise points at no face
     for axis in range(3):
         if wp.abs(out[axis]) > facing and wp.abs(edge[axis]) < _PARALLEL:
             facing = wp.abs(out[axis])
@@ -161,6 +161,10 @@ def lay_edges(
     depth_1 = side * end_1[face] - half[face]
     second = bool(True)
     if depth_0 >= 0.0 and depth_1 >= 0.0:
+        return
+    # The edge lies within _PARALLEL of the face: it cannot be deeper than that lets it be.
+    lowest_end = contact_dist[contact] - 2.0 * _PARALLEL * wp.length(end_1 - end_0)
+    if wp.min(depth_0, depth_1) < lowest_end:
         return
     # An end below the face counts once if it is a vertex, and twice if the face's border cut it
     # off, as in C's clipped polygon.
