@@ -33,7 +33,7 @@ _T = TypeVar("_T")
 __all__ = ["JaxWorlds", "bucket", "device", "open_worlds", "suggested_capacity"]
 
 OBJECTS = 64  # room for objects side by side: their number is no reason to compile again
-_PIECE = 32  # trials of one call on a CPU, where more at once are not faster
+_PIECE = 16  # trials of one call on a CPU, whatever the capacity: more at once are not faster
 _SMALLER = 8  # on an accelerator a second step is compiled for so much smaller batches
 _MOST_PAIRS = {2: 16, 8: 20, 16: 24, 32: 28, 64: 32, 128: 40}  # by hulls
 _CONTACTS = 40  # of the gripper with the object; C MuJoCo finds up to 18 on the busiest objects
@@ -205,7 +205,7 @@ def _parts(state: Float[Array, "n d"]) -> tuple[Float[Array, "n q"], Float[Array
 
 def _sizes(capacity: int, devices: int, platform: str) -> tuple[int, ...]:
     """Batch sizes that are compiled, ascending, each a multiple of the devices."""
-    wanted = {min(capacity, _PIECE)} if platform == "cpu" else {capacity, -(-capacity // _SMALLER)}
+    wanted = {_PIECE} if platform == "cpu" else {capacity, -(-capacity // _SMALLER)}
     return tuple(sorted({-(-size // devices) * devices for size in wanted}))
 
 

@@ -26,7 +26,7 @@ from gmdx.trials.run import run_trials
 from tests.support import box_object, resting_scene
 
 STEPS = 20
-MOST = 32  # trials of a call on a CPU
+MOST = 16  # trials of a call on a CPU
 GRAVITY = 9.81
 
 
