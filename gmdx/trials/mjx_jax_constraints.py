@@ -23,7 +23,7 @@ from gmdx.trials.mjx_jax_solver import Cones, Rows
 _LEAST_IMPEDANCE, _MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _TINY = 1e-15  # mjMINVAL
 _FEW_HULLS = 2
-_SPACING = 0.3  # of a hull's radius: contacts with the table closer than this are one
+_SPACING = 0.02  # of a hull's radius: contacts with the table closer than this are one
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
