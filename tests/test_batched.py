@@ -93,7 +93,7 @@ def test_an_object_whose_trials_cannot_be_run_costs_only_itself(
     def refusing(
         backend: MjxBackend, batches: list[TrialBatch], *, config: TrialConfig
     ) -> list[RawTrials]:
-        if any(batch.object.object_id == "box1" for batch in batches):
+        if any(batch.object.object_id.startswith("box1") for batch in batches):
             raise SceneError("box1 is not to be simulated")
         return run(backend, batches, config=config)
 
@@ -102,7 +102,7 @@ def test_an_object_whose_trials_cannot_be_run_costs_only_itself(
         summary = generate(meshes, tmp_path, _warp(cache))
     assert (summary.produced, summary.failed) == (2, 1)
     (failure,) = read_dataset(tmp_path).failures
-    assert (failure.object_id, failure.stage) == ("box1", "trials")
+    assert (failure.object_id[:4], failure.stage) == ("box1", "trials")
     assert failure.message == "box1 is not to be simulated"
     assert "a batch of 3 objects failed: box1 is not" in caplog.text
 
