@@ -37,6 +37,7 @@ _PIECE = 16  # trials of one call on a CPU, whatever the capacity: more at once 
 _SMALLER = 8  # on an accelerator a second step is compiled for so much smaller batches
 _MOST_PAIRS = {2: 16, 8: 20, 16: 24, 32: 28, 64: 32, 128: 40}  # by hulls
 _CONTACTS = 40  # of the gripper with the object; C MuJoCo finds up to 18 on the busiest objects
+_ON_TABLE = 48  # contacts of the object with the table
 _BYTES_AN_EDGE = 700  # of a pair, while its contacts are computed, in double precision
 _MEMORY_SHARE = 0.7  # of the free memory that trials may take
 _SINGLE_TOLERANCE = 1e-8  # of the solver where numbers have seven digits
@@ -188,7 +189,9 @@ def suggested_capacity(models: Sequence[GraspModel]) -> int | None:
 def bytes_a_trial(model: GraspModel) -> int:
     """Device memory that a trial takes while it runs, about."""
     bounds = bucket(model)
-    return _pairs(model, bounds) * bounds.edges * _BYTES_AN_EDGE + bounds.outline * 200
+    return (
+        _pairs(model, bounds) * bounds.edges * _BYTES_AN_EDGE + bounds.hulls * bounds.corners * 16
+    )
 
 
 def device() -> str:
@@ -221,6 +224,7 @@ def _shape(model: GraspModel, bounds: Bucket) -> Shape:
     return Shape(
         pairs=pairs,
         contacts=min(_CONTACTS, 4 * pairs),
+        on_table=min(_ON_TABLE, 4 * bounds.hulls),
         iterations=int(option.iterations),
         line_iterations=int(option.ls_iterations),
         places=(

@@ -14,12 +14,9 @@ from gmdx.trials.mjx_jax_narrow import (
     CONTACTS_A_PAIR,
     Manifold,
     box_hull,
-    dot,
     hull_in_box,
     turn,
 )
-
-TABLE_CONTACTS = 8
 
 
 class Boxes(NamedTuple):
@@ -103,34 +100,36 @@ def pair_contacts(
     return contacts, jnp.repeat(box, CONTACTS_A_PAIR), jnp.sum(gaps < 0) > pairs
 
 
+def hull_table_contacts(
+    hulls: Hulls, number: Array, place: Float[Array, "3"], axes: Float[Array, "3 3"]
+) -> Manifold:
+    """Four contacts at most of each hull with the table, chosen as C MuJoCo chooses them.
+
+    They are the lowest vertex, and three more corners of the face at that vertex that looks down
+    most, those above the mesh's own middle left out.
+    """
+    vertices, corner = hulls.vertices[number], hulls.corner[number]
+    down = -axes[2]
+    rows = jnp.arange(len(vertices))
+    lowest = jnp.argmax(jnp.sum(vertices * down, axis=-1), axis=-1)  # (h)
+    facing = jnp.sum(hulls.polygon[number] * down, axis=-1)
+    face = jnp.argmax(jnp.where(corner == lowest[:, None], facing, -jnp.inf), axis=-1)
+    others = hulls.support[number][rows, face]  # (h 3)
+    chosen = jnp.concatenate([lowest[:, None], others], axis=1)
+    points = place + turn(axes, jnp.take_along_axis(vertices, chosen[..., None], axis=1))
+    middle = place + turn(axes, hulls.middle[number])
+    again = jnp.any(jnp.tril(chosen[:, :, None] == chosen[:, None], k=-1), axis=2)
+    counts = (jnp.arange(4) == 0) | (points[..., 2] <= middle[:, None, 2])
+    there = hulls.used[number][:, None] & counts & ~again & (points[..., 2] < 0)
+    return _on_table(points.reshape(-1, 3), there.ravel())
+
+
+TABLE_CONTACTS = 8
 _AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
 
 
-def hull_table_contacts(points: Float[Array, "v 3"], reach: Array) -> Manifold:
-    """The deepest of a hull's vertices below the table and three more that span its footprint.
-
-    Vertices closer to the deepest than `reach` m add nothing. C MuJoCo keeps at most four as well,
-    but chooses others where a footprint has many corners.
-    """
-    below = points[:, 2] < 0
-    deepest = jnp.argmin(points[:, 2])
-    away = points - points[deepest]
-    inside = below & (dot(away, away) > reach**2)
-
-    def widest(measure: Array) -> Array:
-        return jnp.argmax(jnp.where(inside, measure, -jnp.inf))
-
-    far = widest(dot(away, away))
-    lateral = away[:, 0] * away[far, 1] - away[:, 1] * away[far, 0]
-    left, right = widest(lateral), widest(-lateral)
-    chosen = jnp.stack([deepest, far, left, right])
-    again = jnp.any(jnp.tril(chosen[:, None] == chosen[None], k=-1), axis=1)
-    there = below[chosen] & ~again & (inside[chosen] | (jnp.arange(4) == 0))
-    return _on_table(points[chosen], there)
-
-
 def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:
-    """The deepest of points below the table and the outermost in seven directions.
+    """Of the gripper: the deepest of points below the table and the outermost in seven directions.
 
     A flat table feels no difference: what lies between them bears no other load.
 

@@ -15,15 +15,12 @@ from gmdx.trials.mjx_jax_collide import (
     pair_contacts,
     table_contacts,
 )
-from gmdx.trials.mjx_jax_hulls import Hulls
-from gmdx.trials.mjx_jax_narrow import APART, Manifold, dot, turn
+from gmdx.trials.mjx_jax_narrow import Manifold, dot, turn
 from gmdx.trials.mjx_jax_rig import DOFS, SLIDES, Body, Rig
 from gmdx.trials.mjx_jax_solver import Cones, Rows
 
 _LEAST_IMPEDANCE, _MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 _TINY = 1e-15  # mjMINVAL
-_FEW_HULLS = 2
-_SPACING = 0.02  # of a hull's radius: contacts with the table closer than this are one
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
@@ -33,6 +30,7 @@ class Shape:
 
     pairs: int  # boxes of the gripper and hulls that may be close at once
     contacts: int  # of the gripper with the object
+    on_table: int  # contacts of the object with the table
     iterations: int
     line_iterations: int
     places: tuple[int, ...]  # of sensors: both pads, hand, hand on table, object on table
@@ -89,22 +87,14 @@ def contacts(rig: Rig, body: Body, number: Array, now: Moment, shape: Shape) -> 
     touches = Manifold(found.distance[kept], found.position[kept], found.normal[kept])
     missed = missed | (jnp.sum(found.distance < 0) > shape.contacts)
 
-    of_object = _object_on_table(body.hulls, number, place, axes)
+    on_table = hull_table_contacts(body.hulls, number, place, axes)
+    _, kept_below = jax.lax.top_k(-on_table.distance, min(shape.on_table, len(on_table.distance)))
+    of_object = Manifold(*(values[kept_below] for values in on_table))
+    missed = missed | (jnp.sum(on_table.distance < 0) > shape.on_table)
     corners = jnp.asarray(_CORNERS, place.dtype) * boxes.half[:, None]
     corners = boxes.position[:, None] + turn(boxes.rotation[:, None], corners)
     of_gripper, corner = table_contacts(corners.reshape(-1, 3))
     return Contacts(touches, box[kept], of_object, of_gripper, corner // len(_CORNERS), missed)
-
-
-def _object_on_table(hulls: Hulls, number: Array, place: Array, axes: Array) -> Manifold:
-    """Hull by hull where there are few, as C MuJoCo does; else of the object as a whole."""
-    if hulls.used.shape[1] > _FEW_HULLS:
-        return table_contacts(place + turn(axes, hulls.outline[number]))[0]
-    points = place + turn(axes, hulls.vertices[number])
-    reach = _SPACING * jnp.sqrt(jnp.sum(hulls.half[number] ** 2, axis=-1))
-    found = jax.vmap(hull_table_contacts)(points, reach)
-    distance = jnp.where(hulls.used[number][:, None], found.distance, APART)
-    return Manifold(distance.ravel(), found.position.reshape(-1, 3), found.normal.reshape(-1, 3))
 
 
 def cones(rig: Rig, body: Body, number: Array, now: Moment, contacts: Contacts) -> Cones:

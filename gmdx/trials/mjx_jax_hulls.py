@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import UsageError
@@ -19,7 +18,6 @@ from gmdx.scenes.build import GraspModel
 
 _HULLS = (2, 8, 16, 32, 64, 128)
 _VERTICES = (16, 32, 64, 128, 256)
-_MOST_OUTLINE = 1024  # vertices of an object's own convex hull
 _SHARPEST_FLAT = 1e-3  # rad: faces that meet at less share one plane, and no edge
 
 
@@ -41,9 +39,9 @@ class Bucket:
         return 3 * self.vertices - 6
 
     @property
-    def outline(self) -> int:
-        """Most vertices that can reach the table."""
-        return min(self.hulls * self.vertices, _MOST_OUTLINE)
+    def corners(self) -> int:
+        """Most corners of its faces together."""
+        return 2 * self.edges
 
 
 class Hulls(NamedTuple):
@@ -60,7 +58,10 @@ class Hulls(NamedTuple):
     center: Any  # (h 3) m, of the bounding box
     half: Any  # (h 3) m, of the bounding box
     used: Any  # (h) bool
-    outline: Any  # (w 3) m, vertices that can reach the table
+    middle: Any  # (h 3) m, of the mesh
+    corner: Any  # (h c) vertex, for every corner of every polygon
+    polygon: Any  # (h c 3) normal of that polygon
+    support: Any  # (h c 3) vertices that span the polygon with that corner
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,10 @@ class _Hull:
     offsets: Float[Array, "f"]
     edges: Int[Array, "e 2"]
     edge_faces: Int[Array, "e 2"]
+    middle: Float[Array, "3"]
+    corner: Int[Array, "c"]
+    polygon: Float[Array, "c 3"]
+    support: Int[Array, "c 3"]
 
 
 def bucket(model: GraspModel) -> Bucket:
@@ -94,13 +99,11 @@ def object_hulls(model: GraspModel, bounds: Bucket) -> Hulls:
     """
     geoms = _object_geoms(model)
     hulls = [_hull(model.model, geom) for geom in geoms]
-    corners = np.concatenate([hull.vertices for hull in hulls])
-    outline = corners if len(corners) <= bounds.outline else corners[ConvexHull(corners).vertices]
     most = max(len(hull.vertices) for hull in hulls)
-    if len(hulls) > bounds.hulls or most > bounds.vertices or len(outline) > bounds.outline:
+    if len(hulls) > bounds.hulls or most > bounds.vertices:
         raise UsageError(
-            f"an object of {len(hulls)} convex hulls with up to {most} vertices, {len(outline)} "
-            f"of them on its outside, does not fit under {bounds}: prepare it with fewer"
+            f"an object of {len(hulls)} convex hulls with up to {most} vertices does not fit "
+            f"under {bounds}: prepare it with fewer"
         )
     low = np.stack([hull.vertices.min(axis=0) for hull in hulls])
     high = np.stack([hull.vertices.max(axis=0) for hull in hulls])
@@ -118,7 +121,10 @@ def object_hulls(model: GraspModel, bounds: Bucket) -> Hulls:
         center=_repeat(0.5 * (low + high), bounds.hulls),
         half=_repeat(0.5 * (high - low), bounds.hulls),
         used=np.arange(bounds.hulls) < len(hulls),
-        outline=_repeat(outline, bounds.outline),
+        middle=_repeat(np.stack([hull.middle for hull in hulls]), bounds.hulls),
+        corner=filled("corner", bounds.corners).astype(np.int32),
+        polygon=filled("polygon", bounds.corners),
+        support=filled("support", bounds.corners).astype(np.int32),
     )
 
 
@@ -188,6 +194,8 @@ def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
     outward = np.sum(normals * (vertices[faces[:, 0]] - vertices.mean(axis=0)), axis=1) > 0
     normals = np.where(outward[:, None], normals, -normals)
     edges, sides = _edges(faces, normals)
+    corner, polygon, support = _polygon_corners(m, mesh, place)
+    turn = quaternion_matrix(m.geom_quat[geom])
     return _Hull(
         vertices=vertices,
         normals=normals,
@@ -195,7 +203,60 @@ def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
         offsets=(vertices @ normals.T).max(axis=0),
         edges=edges,
         edge_faces=sides,
+        middle=np.array(m.geom_pos[geom]),
+        corner=corner,
+        polygon=polygon @ turn.T,
+        support=support,
     )
+
+
+def _polygon_corners(
+    m: mujoco.MjModel, mesh: int, place: Int[Array, "n"]
+) -> tuple[Int[Array, "c"], Float[Array, "c 3"], Int[Array, "c 3"]]:
+    """For every corner of every face of a mesh the face's normal, and three more of its corners.
+
+    The three are those with which the corner spans the largest quadrilateral that C MuJoCo finds
+    in the face; a triangle's own, and one of them again.
+    """
+    start = int(m.mesh_vertadr[mesh])
+    first, count = int(m.mesh_polyadr[mesh]), int(m.mesh_polynum[mesh])
+    corner, polygon, support = [], [], []
+    for face in range(first, first + count):
+        begin = int(m.mesh_polyvertadr[face])
+        ring = np.array(m.mesh_polyvert[begin : begin + int(m.mesh_polyvertnum[face])])
+        points = np.asarray(m.mesh_vert[start + ring], float)
+        for anchor in range(len(ring)):
+            corner.append(place[ring[anchor]])
+            polygon.append(np.asarray(m.mesh_polynormal[face], float))
+            support.append(place[ring[_quadrilateral(points, anchor)]])
+    return np.array(corner), np.array(polygon), np.array(support)
+
+
+def _quadrilateral(points: Float[Array, "n 3"], anchor: int) -> list[int]:
+    """Three corners of a convex polygon that follow `anchor` around a large quadrilateral."""
+    count = len(points)
+    chosen = [(anchor + k) % count for k in range(4)]
+    if count <= 4:
+        return [*chosen[1:count], *[chosen[count - 1]] * (4 - count)]
+
+    def area(b: int, c: int, d: int) -> float:
+        across, along = points[chosen[0]] - points[c], points[b] - points[d]
+        return float(np.linalg.norm(np.cross(across, along)))
+
+    def grows(which: int) -> bool:
+        """Move one corner on, if that makes the area larger."""
+        moved = chosen[1:]
+        moved[which] = (moved[which] + 1) % count
+        if area(*moved) <= area(*chosen[1:]):
+            return False
+        chosen[1:] = moved
+        return True
+
+    while grows(2):
+        for which in (1, 0):
+            while grows(which):
+                pass
+    return chosen[1:]
 
 
 def _edges(

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import ConvexHull
 
 pytest.importorskip("jax")
 
@@ -18,7 +17,7 @@ from gmdx.geometry import quaternion_matrix
 from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
 from gmdx.scenes.gripper import load_gripper
 from gmdx.trials.mjx_jax_alike import check_alike
-from gmdx.trials.mjx_jax_collide import table_contacts
+from gmdx.trials.mjx_jax_collide import hull_table_contacts
 from gmdx.trials.mjx_jax_hulls import Bucket, Hulls, bucket, object_hulls
 from gmdx.trials.mjx_jax_narrow import Manifold, box_hull, hull_in_box
 from gmdx.trials.mjx_jax_rig import read_rig
@@ -124,14 +123,59 @@ def test_a_box_flat_on_a_box_is_met_at_the_corners_of_the_overlap() -> None:
     assert corners == {(-0.01, -0.001), (-0.01, 0.007), (0.01, -0.001), (0.01, 0.007)}
 
 
-def test_a_flat_face_rests_on_points_that_hold_its_weight() -> None:
-    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    ring = np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), np.full(48, -1e-5)])
-    found, _ = jax.jit(table_contacts)(np.concatenate([ring, ring * [1, 1, -1]]))
-    points = np.asarray(found.position)[np.asarray(found.distance) < 0]
-    area = ConvexHull(points[:, :2]).volume
-    assert area > 0.85 * np.pi * 0.04**2
-    np.testing.assert_allclose(points[:, 2], -0.5e-5)
+@pytest.mark.parametrize("flat", [True, False])
+@pytest.mark.parametrize("shape", ["box", "cylinder", "rock", "two hulls"])
+def test_contacts_with_the_table_are_those_of_mujoco(shape: str, flat: bool) -> None:
+    solids = {
+        "box": box_object((0.03, 0.02, 0.025)),
+        "cylinder": cylinder_object(0.012, 0.03),
+        "rock": mesh_object(trimesh.convex.convex_hull(_rocks(30))),
+        "two hulls": mesh_object(
+            trimesh.creation.box((0.02, 0.02, 0.02)), hulls=[_rocks(12), _rocks(20) + 0.005]
+        ),
+    }
+    model = _model(solids[shape])
+    m, data = model.model, mujoco.MjData(model.model)
+    hulls = jax.tree.map(lambda values: values[None], object_hulls(model, bucket(model)))
+    table = m.geom("table").id
+    find = jax.jit(hull_table_contacts)
+    counts = set()
+    for place, axes in _poses(30, 2):
+        if flat:  # on a face, a little tilted
+            tilt, _ = np.linalg.qr(np.eye(3) + 1e-3 * axes)
+            axes = tilt * np.sign(np.diag(tilt))
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, axes.ravel())
+        data.qpos[:7] = [*place, *quaternion]
+        data.qpos[7] = 1.0  # the gripper far above
+        mujoco.mj_kinematics(m, data)
+        lowest = min(
+            float((data.geom_xpos[g] + _vertices(m, g) @ data.geom_xmat[g].reshape(3, 3).T)[:, 2]
+                  .min())
+            for g in range(m.ngeom) if m.geom_bodyid[g] == model.object_body
+        )  # fmt: skip
+        data.qpos[2] -= lowest + 5e-4
+        mujoco.mj_forward(m, data)
+        expected = [
+            (*contact.pos, contact.dist)
+            for contact in data.contact
+            if table in contact.geom and contact.dist < 0
+        ]
+        found = find(hulls, 0, data.qpos[:3], axes)
+        there = np.asarray(found.distance) < 0
+        ours = np.column_stack([found.position, found.distance])[there]
+        counts.add(len(expected))
+        np.testing.assert_allclose(_sorted(ours), _sorted(np.array(expected)), atol=1e-7)
+    assert max(counts) >= (3 if flat and shape in ("box", "cylinder") else 1)
+
+
+def _vertices(m: mujoco.MjModel, geom: int) -> np.ndarray:
+    mesh = m.geom_dataid[geom]
+    return m.mesh_vert[m.mesh_vertadr[mesh] :][: m.mesh_vertnum[mesh]]
+
+
+def _sorted(contacts: np.ndarray) -> np.ndarray:
+    return contacts[np.lexsort(np.round(contacts[:, :3].T, 6))]
 
 
 def test_buckets_are_few_and_hold_what_they_promise() -> None:
