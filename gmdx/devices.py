@@ -2,10 +2,13 @@
 
 import logging
 import os
+import sys
+import tempfile
 from functools import lru_cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 
+from gmdx.caches import keep_jax_compilations
 from gmdx.errors import ConfigError
 
 _LOG = logging.getLogger("gmdx")
@@ -47,10 +50,32 @@ def cuda_devices() -> int:
         return 0
     import warp
 
-    warp.config.log_level = warp.LOG_ERROR  # no banner, and no word of a driver that is not there
-    warp.init()
+    start_warp()
     count: int = warp.get_cuda_device_count()
     return count
+
+
+@lru_cache(maxsize=1)
+def start_warp() -> None:
+    """Start Warp without its banner.
+
+    Its C code writes to standard error that there is no NVIDIA driver: to our log instead.
+    """
+    import warp
+
+    warp.config.log_level = warp.LOG_WARNING
+    sys.stderr.flush()
+    saved = os.dup(2)
+    with tempfile.TemporaryFile() as heard:
+        os.dup2(heard.fileno(), 2)
+        try:
+            warp.init()
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            heard.seek(0)
+            for line in heard.read().decode(errors="replace").splitlines():
+                _LOG.debug("warp: %s", line)
 
 
 def has_accelerator() -> bool:
@@ -77,6 +102,8 @@ def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> N
 def implementation(name: str, *, cpu: str, accelerated: str = "jax") -> str:
     """The implementation of an array kernel that a configured name stands for on this machine.
 
+    What JAX compiles from then on is kept on disk.
+
     Args:
         name: The name itself, or `auto`.
         cpu: What `auto` is on a plain CPU.
@@ -87,9 +114,11 @@ def implementation(name: str, *, cpu: str, accelerated: str = "jax") -> str:
     """
     if name == "jax" and not installed("jax"):
         raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[mjx]'")
-    if name != "auto":
-        return name
-    return cpu if accelerator() is None else accelerated
+    if name == "auto":
+        name = cpu if accelerator() is None else accelerated
+    if name == "jax":
+        keep_jax_compilations()
+    return name
 
 
 def on_device(implementation: str) -> str:

@@ -37,7 +37,7 @@ class GraspError(GmdxError):
     """No grasp could be sampled, or a batch of grasps is malformed."""
 
 
-class OutOfDeviceMemory(GmdxError):  # noqa: N818
+class DeviceMemoryError(GmdxError):
     """An accelerator has no memory left for a batch of this size."""
 
 

@@ -14,7 +14,7 @@ STAGES = (
     "objects", "scenes", "grasps", "trials", "metrics", "dataset", "evaluators", "detectors",
     "studies",
 )  # fmt: skip
-GROUND = ("errors", "arrays", "rng", "geometry", "config", "workers", "devices")
+GROUND = ("errors", "arrays", "rng", "geometry", "config", "workers", "caches", "devices")
 COMPOSERS = (
     "annotate",
     "batched",

@@ -6,8 +6,6 @@ import hashlib
 import importlib.metadata
 import json
 import logging
-import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -21,25 +19,6 @@ _PACKAGES = ("coacd", "fast-simplification", "manifold3d", "numpy", "scipy", "tr
 _NOT_PREPARATION = frozenset({"cache.py", "catalog.py", "report.py"})
 _GROUND_FLOOR = ("arrays.py", "geometry.py", "rng.py")  # that preparation builds on
 _log = logging.getLogger("gmdx")
-
-
-def cache_folder() -> Path:
-    """Where this user's prepared objects are kept.
-
-    The environment variable GMDX_CACHE if set, else `gmdx` in the platform's folder for caches
-    (XDG_CACHE_HOME or ~/.cache on Linux).
-    """
-    own = os.environ.get("GMDX_CACHE")
-    if own:
-        return Path(own).expanduser()
-    shared = os.environ.get("XDG_CACHE_HOME")
-    if shared:
-        return Path(shared).expanduser() / "gmdx"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "gmdx"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "gmdx" / "cache"
-    return Path.home() / ".cache" / "gmdx"
 
 
 def cache_key(sha256: str, source: ObjectSource, settings: dict[str, Any]) -> str:

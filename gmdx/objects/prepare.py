@@ -15,10 +15,11 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from gmdx.arrays import Array, Float
+from gmdx.caches import cache_folder
 from gmdx.errors import ConfigError, MeshError
 from gmdx.geometry import quaternion_matrix
 from gmdx.objects.box import smallest_box, smallest_rectangle
-from gmdx.objects.cache import cache_folder, cache_key, read_cached, write_cached
+from gmdx.objects.cache import cache_key, read_cached, write_cached
 from gmdx.objects.catalog import ObjectSource, file_source
 from gmdx.objects.decompose import DecomposeConfig, decompose
 from gmdx.objects.mesh import as_trimesh, read_mesh

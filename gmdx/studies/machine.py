@@ -16,7 +16,7 @@ _PACKAGES = (
 _CPU_FILE = Path("/proc/cpuinfo")
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _FROM_DISK = "/jax/compilation_cache/cache_hits"
-_HELPER = 0.3  # s; JAX's own small programs compile faster than this, a step of trials does not
+_HELPER = 1.0  # s; JAX's own small programs compile faster than this, a step of trials does not
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.devices import has_accelerator
-from gmdx.errors import OutOfDeviceMemory, UsageError
+from gmdx.errors import DeviceMemoryError, UsageError
 from gmdx.scenes.build import ContactSensors, GraspModel, grasp_model
 from gmdx.trials.batch import RawTrials, TrialBatch
 from gmdx.trials.execute import Execution
@@ -56,7 +56,7 @@ class Worlds(Protocol):
             count: Steps that each trial runs, at most s.
 
         Raises:
-            OutOfDeviceMemory: From the launch or from the wait.
+            DeviceMemoryError: From the launch or from the wait.
         """
         ...
 
@@ -246,7 +246,7 @@ class _Engine:
         while True:
             try:
                 return self._run(self.index[rows], state, control, force, count)
-            except OutOfDeviceMemory as error:
+            except DeviceMemoryError as error:
                 if self.capacity == 1:
                     raise
                 self.capacity = -(-self.capacity // 2)
@@ -278,7 +278,7 @@ class _Engine:
                 return self.backend.implementation.open_worlds(
                     self.models, capacity=self.capacity, config=self.config
                 )
-            except OutOfDeviceMemory as error:
+            except DeviceMemoryError as error:
                 if self.capacity == 1:
                     raise
                 self.capacity = -(-self.capacity // 2)

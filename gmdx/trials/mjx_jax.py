@@ -17,12 +17,12 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 
 from gmdx.arrays import Array, Float, Int
-from gmdx.errors import OutOfDeviceMemory, UsageError
+from gmdx.caches import keep_jax_compilations
+from gmdx.errors import DeviceMemoryError, UsageError
 from gmdx.scenes.build import HEIGHT_QPOS, GraspModel
 from gmdx.trials.frames import Digest, Stretch, joined
 from gmdx.trials.mjx_jax_alike import check_alike
 from gmdx.trials.mjx_jax_chunk import Outcome, by_trial, compiled_chunk, on_each
-from gmdx.trials.mjx_jax_compile import enable_compilation_cache
 from gmdx.trials.mjx_jax_constraints import Shape
 from gmdx.trials.mjx_jax_hulls import Bucket, bucket
 from gmdx.trials.mjx_jax_rig import read_body, read_rig
@@ -64,7 +64,7 @@ class JaxWorlds:
 
         Raises:
             UsageError: The models cannot be side by side, or need what the step does not compute.
-            OutOfDeviceMemory: There is no room for the objects.
+            DeviceMemoryError: There is no room for the objects.
         """
         if not 0 < len(models) <= OBJECTS:
             raise UsageError(f"give 1 to {OBJECTS} models, not {len(models)}")
@@ -72,7 +72,7 @@ class JaxWorlds:
         if len(set(buckets)) > 1:
             raise UsageError(f"models of one batch must share one bucket, not {set(buckets)}")
         check_alike(models)
-        enable_compilation_cache()
+        keep_jax_compilations()
         self.devices = list(jax.devices() if devices is None else devices)
         self.double = self.devices[0].platform != "tpu" if double is None else double
         self.sizes = _sizes(capacity, len(self.devices), self.devices[0].platform)
@@ -251,11 +251,11 @@ def _guarded(compute: Callable[[], _T]) -> _T:
     """Name the want of memory as such.
 
     Raises:
-        OutOfDeviceMemory: XLA says that its resources are exhausted.
+        DeviceMemoryError: XLA says that its resources are exhausted.
     """
     try:
         return compute()
     except jax.errors.JaxRuntimeError as error:
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        raise OutOfDeviceMemory(f"JAX's device is out of memory: {str(error)[:200]}") from error
+        raise DeviceMemoryError(f"JAX's device is out of memory: {str(error)[:200]}") from error

@@ -48,7 +48,7 @@ class WarpWorlds:
             contact_limit: Contacts of one trial: one that has more has overflowed.
 
         Raises:
-            OutOfDeviceMemory: A device has no room for this.
+            DeviceMemoryError: A device has no room for this.
             UsageError: An object has too many hulls, or differs in what cannot differ.
         """
         devices = _devices()

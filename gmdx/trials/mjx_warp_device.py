@@ -10,7 +10,7 @@ import mujoco.mjx.third_party.mujoco_warp as mjw
 import warp as wp
 
 from gmdx.arrays import Array, Float, Int
-from gmdx.errors import OutOfDeviceMemory
+from gmdx.errors import DeviceMemoryError
 from gmdx.scenes.build import HEIGHT_QPOS, SLOT_SIZE, GraspModel
 from gmdx.trials import mjx_warp_kernels as kernels
 from gmdx.trials.frames import FACE_COSINE, Stretch
@@ -35,7 +35,7 @@ def device_memory(what: str) -> Iterator[None]:
     except RuntimeError as error:
         text = str(error).lower()
         if "failed to allocate" in text or "out of memory" in text:
-            raise OutOfDeviceMemory(f"no device memory for {what}: {error}") from error
+            raise DeviceMemoryError(f"no device memory for {what}: {error}") from error
         raise
 
 
@@ -64,7 +64,7 @@ class DeviceWorlds:
             contact_limit: Contacts of one trial: one that has more has overflowed.
 
         Raises:
-            OutOfDeviceMemory: The library does not fit.
+            DeviceMemoryError: The library does not fit.
         """
         self.library, self.grasp, self.device = library, grasp, device
         self.capacity, self.contacts, self.contact_limit = capacity, contacts, contact_limit

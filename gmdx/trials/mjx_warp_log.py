@@ -1,14 +1,12 @@
 """Warp's messages: off the screen, into the log, and a count of its compilations."""
 
 import logging
-import os
-import sys
-import tempfile
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import warp as wp
+
+from gmdx.devices import start_warp
 
 _LOG = logging.getLogger("gmdx")
 
@@ -47,27 +45,10 @@ class _Listener:
 
 def listen() -> None:
     """Start Warp with its messages in our log; more calls change nothing."""
+    start_warp()
     if not isinstance(wp.get_logger(), _Listener):
         wp.set_logger(_Listener())
     wp.config.log_level = wp.LOG_INFO  # the modules that it builds are told of at this level
-    _start()
-
-
-@lru_cache(maxsize=1)
-def _start() -> None:
-    """Start Warp, whose C code writes to standard error that there is no NVIDIA driver."""
-    sys.stderr.flush()
-    saved = os.dup(2)
-    with tempfile.TemporaryFile() as heard:
-        os.dup2(heard.fileno(), 2)
-        try:
-            wp.init()
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            heard.seek(0)
-            for line in heard.read().decode(errors="replace").splitlines():
-                _LOG.debug("warp: %s", line)
 
 
 def kernel_counts() -> KernelCounts:

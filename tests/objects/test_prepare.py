@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from gmdx.caches import cache_folder
 from gmdx.errors import ConfigError, GmdxError, MeshError
 from gmdx.geometry import quaternion_matrix
-from gmdx.objects.cache import cache_folder
 from gmdx.objects.catalog import resolve
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import PrepareConfig, load_object, prepare

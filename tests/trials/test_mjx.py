@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
 pytest.importorskip("mujoco.mjx", reason="the extra gmdx[mjx] is not installed")
 
-from gmdx.errors import ConfigError, OutOfDeviceMemory, UsageError
+from gmdx.errors import ConfigError, DeviceMemoryError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.build import GraspModel, PhysicsConfig
 from gmdx.scenes.gripper import load_gripper
@@ -102,7 +102,7 @@ class _Small:
     ) -> Worlds:
         self.opened.append(capacity)
         if capacity > self.room and not self.at_launch:
-            raise OutOfDeviceMemory(f"no room for {capacity} trials")
+            raise DeviceMemoryError(f"no room for {capacity} trials")
         worlds = mjx_warp.open_worlds(models, capacity=capacity, config=config)
         return _SmallWorlds(worlds, full=capacity > self.room)
 
@@ -113,7 +113,7 @@ class _SmallWorlds:
 
     def launch(self, *arrays: np.ndarray) -> Callable[[], Stretch]:
         if self.full:
-            raise OutOfDeviceMemory("no room for these trials")
+            raise DeviceMemoryError("no room for these trials")
         return self.worlds.launch(*arrays)
 
 
@@ -139,7 +139,7 @@ def test_a_device_without_any_room_is_an_error(
 ) -> None:
     backend = MjxBackend("warp")
     backend.implementation = _Small(0, at_launch=True)
-    with pytest.raises(OutOfDeviceMemory, match="no room"):
+    with pytest.raises(DeviceMemoryError, match="no room"):
         run_trials(scenes[:1], grasps[:1], backend, trials=1)
 
 

@@ -12,19 +12,20 @@ from mujoco import rollout
 
 pytest.importorskip("jax")
 
-from gmdx.errors import OutOfDeviceMemory, UsageError
+from gmdx.errors import DeviceMemoryError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
 from gmdx.scenes.gripper import load_gripper
+from gmdx.studies.machine import compilations
 from gmdx.trials import mjx_jax
 from gmdx.trials.frames import Stretch, digest
 from gmdx.trials.mjx_jax import JaxWorlds
-from gmdx.trials.mjx_jax_compile import watched_compilations
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
-from gmdx.trials.run import run_trials
+from gmdx.trials.run import Chosen, run_trials
 from tests.support import box_object, resting_scene
 
+JAX = Chosen("mjx", "jax")
 STEPS = 20
 MOST = 16  # trials of a call on a CPU
 GRAVITY = 9.81
@@ -198,12 +199,16 @@ def test_ten_objects_and_every_phase_share_one_compilation() -> None:
     sizes = np.random.default_rng(5).uniform(0.02, 0.045, (10, 3))
     config = TrialConfig(trials=1)
     grasp = PlanarGrasp(np.array([0]), np.array([[0.0, 0.0, 0.01]]), np.zeros(1), np.array([0.06]))
-    with watched_compilations() as found:
-        for number, size in enumerate(sizes):
-            box = box_object((float(size[0]), float(size[1]), float(size[2])))
-            scene = resting_scene(box, scene_id=number)
-            run_trials(scene, grasp, "mjx", impl="jax", config=config)
-    assert found.longer_than(1.0) + found.from_disk <= 1
+    before = compilations(JAX)
+    assert before is not None
+    for number, size in enumerate(sizes):
+        box = box_object((float(size[0]), float(size[1]), float(size[2])))
+        scene = resting_scene(box, scene_id=number)
+        run_trials(scene, grasp, "mjx", impl="jax", config=config)
+    after = compilations(JAX)
+    assert after is not None
+    found = after.since(before)
+    assert found.compiled + found.cached <= 1
 
 
 @pytest.mark.parametrize(("friction", "mass"), [(0.8, 0.1), (0.3, 0.5)])
@@ -268,7 +273,7 @@ def test_an_exhausted_device_is_named(
 
     monkeypatch.setattr(mjx_jax, "compiled_chunk", lambda *_: exhausted)
     state = _start(models, np.zeros(1, int), spread=0.0, seed=0)
-    with pytest.raises(OutOfDeviceMemory):
+    with pytest.raises(DeviceMemoryError):
         worlds.launch(np.zeros(1, int), state, _closing(1), np.zeros((STEPS, 3)), np.ones(1, int))()
 
 
@@ -285,16 +290,16 @@ import sys
 import numpy as np
 import jax
 from gmdx.trials.mjx_jax import JaxWorlds
-from gmdx.trials.mjx_jax_compile import watched_compilations
-from tests.trials.test_mjx_jax import MOST, _chunks, _model, _start
+from tests.trials.test_mjx_jax import JAX, MOST, _chunks, _model, _start, compilations
 
 models = [_model((0.03, 0.04, 0.05)), _model((0.02, 0.05, 0.03))]
 index = np.arange(8) % 2
-with watched_compilations() as compiled:
-    worlds = JaxWorlds(models, capacity=MOST)
-    found = _chunks(worlds, index, _start(models, index, spread=0.01, seed=6), 2)[-1]
+before = compilations(JAX)
+worlds = JaxWorlds(models, capacity=MOST)
+found = _chunks(worlds, index, _start(models, index, spread=0.01, seed=6), 2)[-1]
+made = compilations(JAX).since(before)
 np.savez(sys.argv[1], state=found.state, sensors=found.sensors, devices=len(jax.devices()),
-         from_disk=compiled.from_disk, long=compiled.longer_than(1.0))
+         compiled=made.compiled, cached=made.cached)
 """
 
 
@@ -320,10 +325,9 @@ def test_two_devices_give_the_same_and_a_second_process_compiles_nothing(tmp_pat
     again = _in_a_process(tmp_path, "again", devices=1)
     two = _in_a_process(tmp_path, "two", devices=2)
     assert [int(found["devices"]) for found in (one, again, two)] == [1, 1, 2]
-    assert one["from_disk"] == 0
-    assert one["long"] == 1
-    assert again["from_disk"] >= 1
-    assert again["long"] <= 1  # the same event, of reading it
+    assert one["compiled"] == two["compiled"] == 1
+    assert again["compiled"] == 0
+    assert again["cached"] >= 1
     for name in ("state", "sensors"):
         np.testing.assert_array_equal(one[name], again[name])
         np.testing.assert_allclose(one[name], two[name], atol=1e-9)

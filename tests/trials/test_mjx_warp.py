@@ -16,7 +16,7 @@ import mujoco.mjx.third_party.mujoco_warp as mjw
 import warp as wp
 from mujoco import rollout
 
-from gmdx.errors import OutOfDeviceMemory, UsageError
+from gmdx.errors import DeviceMemoryError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
 from gmdx.objects.catalog import resolve
@@ -470,7 +470,7 @@ def test_too_many_hulls_are_refused() -> None:
 
 
 def test_a_failed_allocation_is_named() -> None:
-    wanted = pytest.raises(OutOfDeviceMemory, match="no device memory for 7 trials")
+    wanted = pytest.raises(DeviceMemoryError, match="no device memory for 7 trials")
     with wanted, wp.ScopedDevice("cpu"), device_memory("7 trials"):
         wp.zeros((2**31 - 1, 2**30), dtype=wp.uint8)
 
