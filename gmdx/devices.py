@@ -80,12 +80,13 @@ def start_warp() -> None:
 
 def has_accelerator() -> bool:
     """Whether trials can run on an accelerator."""
-    return installed("mujoco.mjx") and (cuda_devices() > 0 or accelerator() is not None)
+    return (cuda_devices() > 0 and installed("mujoco.mjx")) or accelerator() is not None
 
 
 def warp_fits() -> bool:
     """Whether Warp is the better of MJX's implementations: on NVIDIA, and on a plain CPU."""
-    return installed("warp") and (cuda_devices() > 0 or accelerator() is None)
+    there = installed("warp") and installed("mujoco.mjx")
+    return there and (cuda_devices() > 0 or accelerator() is None)
 
 
 def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> None:

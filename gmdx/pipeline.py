@@ -172,7 +172,7 @@ def _engine_packages(config: GenerateConfig) -> list[str]:
     packages = {
         "bullet": ["pybullet"],
         "mjx-warp": ["mujoco-mjx", "warp-lang"],
-        "mjx-jax": ["mujoco-mjx", "jax", "jaxlib"],
+        "mjx-jax": ["jax", "jaxlib"],
     }
     return packages.get(str(config.chosen), [])
 

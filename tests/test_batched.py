@@ -53,7 +53,7 @@ def test_a_dataset_names_what_ran_its_trials(dataset: Path) -> None:
     read = read_dataset(dataset)
     for object_id in read.objects:
         described = json.loads((dataset / "objects" / object_id / "object.json").read_text())
-        assert described["kernels"]["trials"].startswith("mjx-warp (warp")
+        assert described["kernels"]["trials"].startswith("mjx-warp (mujoco-mjx")
 
 
 def test_its_trials_are_those_of_mujoco(dataset: Path, meshes: list[Path], cache: Path,

@@ -1,4 +1,4 @@
-"""Trials in batches on accelerators: MuJoCo Warp or MJX on JAX, many objects at once.
+"""Trials in batches on accelerators, many objects at once: MJX's Warp, or a step in JAX.
 
 An implementation steps a bounded number of trials side by side for one chunk of the schedule and
 hands back a digest; the outcome rules are those of `execute` on every engine. Between chunks only

@@ -1,10 +1,10 @@
 """Batched trials in JAX, for TPUs and whatever else XLA compiles for, on one device or several.
 
-It is MJX's scheme (one world's step, batched and compiled as a whole) with parts of its own where
-MJX's would not do: hulls in fixed shapes, contacts without limits on faces, cones summed contact
-by contact, and the integrator's details. Where C MuJoCo finds the same contacts, the step agrees
-with its own to rounding.
-One compiled step serves all objects of a bucket, all phases, and any mixture of them.
+The scheme is MJX's, one world's step batched and compiled as a whole, but the step is our own: hulls
+are static in MJX's, which compiles anew for each object, it has no contact sensors of whole bodies,
+and its elliptic cones are dense over all contacts that could be. Where C MuJoCo finds the same
+contacts, this step agrees with its own to rounding. It serves all objects of a bucket, all phases
+and any mixture.
 """
 
 import functools
@@ -197,8 +197,9 @@ def bytes_a_trial(model: GraspModel) -> int:
 def device() -> str:
     """Versions and the devices, as records name them."""
     found = jax.devices()
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jax", "mujoco")]
-    return f"{', '.join(versions)}, {len(found)} x {found[0].device_kind}"
+    several = f"{len(found)} x " if len(found) > 1 else ""
+    version = importlib.metadata.version("jax")
+    return f"gmdx's own step, jax {version} on {several}{found[0].device_kind}"
 
 
 def _parts(state: Float[Array, "n d"]) -> tuple[Float[Array, "n q"], Float[Array, "n v"]]:

@@ -3,6 +3,7 @@
 MuJoCo Warp computes in single precision, and stops its solver at a tolerance of 1e-6.
 """
 
+import importlib.metadata
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -107,7 +108,8 @@ def device() -> str:
     found = _devices()
     names = [one.name if one.is_cuda else "cpu" for one in found]
     several = f"{len(found)} x " if len(found) > 1 else ""
-    return f"warp {wp.__version__} on {several}{names[0]}"
+    mjx = importlib.metadata.version("mujoco-mjx")
+    return f"mujoco-mjx {mjx}, warp {wp.__version__} on {several}{names[0]}"
 
 
 def suggested_capacity(models: Sequence[GraspModel]) -> int | None:

@@ -68,6 +68,7 @@ class DeviceWorlds:
         """
         self.library, self.grasp, self.device = library, grasp, device
         self.capacity, self.contacts, self.contact_limit = capacity, contacts, contact_limit
+        self.captures = bool(device.is_cuda)
         shared = library.model
         self.rows = constraint_rows(shared, contact_limit)
         self.runs: dict[tuple[int, int], _Run] = {}
@@ -195,15 +196,26 @@ class _Run:
         return wait
 
     def _run(self) -> None:
-        if not self.owner.device.is_cuda:
+        if not self.owner.captures:
             self._chunk()
         elif self.graph is None:
             self._chunk()  # loads, and may compile, what a capture must find ready
-            with wp.ScopedCapture() as capture:
-                self._chunk()
-            self.graph = capture.graph
+            self._capture()
         else:
             wp.capture_launch(self.graph)
+
+    def _capture(self) -> None:
+        """Record the chunk's launches once, to be replayed at once."""
+        try:
+            with wp.ScopedCapture() as capture:
+                self._chunk()
+        except RuntimeError as error:
+            _LOG.warning(
+                "steps are launched one by one, which is slower: no CUDA graph of them (%s)", error
+            )
+            self.owner.captures = False
+        else:
+            self.graph = capture.graph
 
     def _chunk(self) -> None:
         """All steps, from the inputs' buffers to the outputs'."""
