@@ -1,8 +1,8 @@
 """Batched trials in JAX, for TPUs and whatever else XLA compiles for, on one device or several.
 
-The scheme is MJX's, one world's step batched and compiled as a whole, but the step is our own: hulls
-are static in MJX's, which compiles anew for each object, it has no contact sensors of whole bodies,
-and its elliptic cones are dense over all contacts that could be. Where C MuJoCo finds the same
+The scheme is MJX's, one world's step batched and compiled as a whole, but the step is our own. In
+MJX's hulls are static, so that it compiles anew for each object, whole bodies have no contact
+sensors, and elliptic cones are dense over all contacts that could be. Where C MuJoCo finds the same
 contacts, this step agrees with its own to rounding. It serves all objects of a bucket, all phases
 and any mixture.
 """
