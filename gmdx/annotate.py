@@ -226,8 +226,9 @@ def failure(object_id: str, scene_id: int | None, stage: str, error: Exception) 
     """An error as a line of `failures.jsonl`; one that nobody foresaw says where it arose."""
     message = str(error)
     if not isinstance(error, GmdxError):
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        message = f"{message} ({Path(frame.filename).name}:{frame.lineno})"
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else stage
+        message = f"{message} ({where})"
         logger.debug("object %s failed in %s", object_id, stage, exc_info=error)
     return Failure(object_id, scene_id, stage, type(error).__name__, message)
 

@@ -4,6 +4,7 @@ The host's processes prepare objects and compute metrics; one thread keeps the d
 batches are made of objects in the order in which they come, and no result depends on them.
 """
 
+import contextlib
 import logging
 import queue
 import threading
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from gmdx.annotate import Begun, Ended, Task, Tried, begin, failure, finish, lost
+from gmdx.errors import GmdxError
 from gmdx.run_config import GenerateConfig
 from gmdx.trials.mjx import OBJECTS, Cancelled, MjxBackend
 from gmdx.trials.results import TrialResults
@@ -42,11 +44,12 @@ def annotate_in_batches(
     # What is not known yet is no task that a worker sees.
     stream = cast(Iterator[Task | Tried], schedule.next_tasks())
     try:
-        for item in run_tasks(_on_host, stream, workers=workers):
-            ended = schedule.take(item)
-            if ended is not None:
-                yield ended
-            yield from schedule.failed()
+        with contextlib.closing(run_tasks(_on_host, stream, workers=workers)) as items:
+            for item in items:
+                ended = schedule.take(item)
+                if ended is not None:
+                    yield ended
+                yield from schedule.failed()
         yield from schedule.failed()
     finally:
         device.close()
@@ -183,23 +186,39 @@ class _Device:
     def _run(
         self, objects: Sequence[tuple[Task, Begun]]
     ) -> Sequence[tuple[TrialResults, ...] | Exception]:
-        """Trials of all objects at once; if that fails, of one after the other, to find out why."""
+        """Trials of all objects at once; if that fails, of one after the other, to find out why.
+
+        Raises:
+            Exception: Everything failed, and not by an error of our own: the device is lost.
+        """
+        found = self._together(objects)
+        if not isinstance(found, Exception):
+            return found
+        if len(objects) == 1:
+            return [found]
+        _LOG.warning("a batch of %d objects failed: %s; each alone now", len(objects), str(found))
+        alone = [self._together([item]) for item in objects]
+        if all(isinstance(one, Exception) and not isinstance(one, GmdxError) for one in alone):
+            raise found
+        return [one if isinstance(one, Exception) else one[0] for one in alone]
+
+    def _together(
+        self, objects: Sequence[tuple[Task, Begun]]
+    ) -> Sequence[tuple[TrialResults, ...]] | Exception:
+        """Trials in one call, or the error without what it refers to on the device."""
         pairs = [pair for _, begun in objects for pair in begun.scenes]
         try:
-            found = iter(
-                run_trials(
-                    [scene for scene, _ in pairs],
-                    [grasps for _, grasps in pairs],
-                    self.backend,
-                    gripper=objects[0][0].gripper,
-                    config=self._config.trial,
-                )
+            results = run_trials(
+                [scene for scene, _ in pairs],
+                [grasps for _, grasps in pairs],
+                self.backend,
+                gripper=objects[0][0].gripper,
+                config=self._config.trial,
             )
         except Cancelled:
             raise
         except Exception as error:
-            if len(objects) == 1:
-                return [error]
-            _LOG.warning("a batch of %d objects failed: %s; each alone now", len(objects), error)
-            return [result for item in objects for result in self._run([item])]
+            _LOG.debug("trials failed", exc_info=error)
+            return error.with_traceback(None)
+        found = iter(results)
         return [tuple(next(found) for _ in begun.scenes) for _, begun in objects]

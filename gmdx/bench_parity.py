@@ -90,7 +90,8 @@ class Parity:
             say(json.dumps(figures.as_json(), indent=1))
         else:
             show_parity(figures)
-        return ENGINE_FAILED if figures.failures else DONE
+        missed = any(parity.passed is False for parity in figures.parities)
+        return ENGINE_FAILED if figures.failures or missed else DONE
 
 
 _PARITY_NOTES = """\

@@ -72,7 +72,7 @@ class Generate:
     impl: Annotated[str | None, *_optional(str, "NAME", "auto")] = None
     """of mjx: warp, jax, or auto (warp on NVIDIA and on a plain CPU, else jax)"""
     batch_size: Annotated[int | None, *_optional(int, "INT", "what the device has room for")] = None
-    """trials side by side on mjx; results do not depend on it"""
+    """trials side by side on mjx; without effect on results, on a GPU but for their last bits"""
     workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
     """processes; results do not depend on it"""
     seed: Annotated[int | None, *_optional(int, "INT", "0")] = None
@@ -86,9 +86,13 @@ class Generate:
         """Generate the dataset."""
         with interrupts_kept():
             from gmdx.pipeline import generate
+            from gmdx.trials.run import open_backend
+
+            settings = self.settings()
+            open_backend(str(settings.chosen))  # imports what it needs
 
         with following("grasps") as on_progress:
-            summary = generate(self.objects, self.out, self.settings(), on_progress=on_progress)
+            summary = generate(self.objects, self.out, settings, on_progress=on_progress)
         say(_last_line(summary))
         return DONE if summary.counts["objects"] else NOTHING_PRODUCED
 
@@ -353,13 +357,6 @@ class Sensitivity:
     """simulated trials per grasp"""
     gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "parallel_jaw")] = None
     """a shipped gripper, or the description of your own"""
-    backend: Annotated[str | None, *_optional(str, "NAME", "mujoco")] = None
-    """what runs the trials: mujoco (C, on the CPU), mjx (in batches on an accelerator), bullet, or
-    auto (mjx where there is an accelerator)"""
-    impl: Annotated[str | None, *_optional(str, "NAME", "auto")] = None
-    """of mjx: warp, jax, or auto (warp on NVIDIA and on a plain CPU, else jax)"""
-    batch_size: Annotated[int | None, *_optional(int, "INT", "what the device has room for")] = None
-    """trials side by side on mjx; results do not depend on it"""
     workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
     """processes; results do not depend on it"""
     seed: int = 0

@@ -17,7 +17,7 @@ from gmdx.objects.catalog import ObjectSource, resolve
 from gmdx.objects.prepare import content_hash
 from gmdx.run_config import GenerateConfig
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
-from gmdx.trials.run import open_backend
+from gmdx.trials.run import engine_packages, open_backend
 from gmdx.workers import Crash, Finished, run_tasks
 
 __all__ = ["GenerateConfig", "Progress", "Summary", "generate"]
@@ -156,7 +156,8 @@ def _crashed(object_id: str, crash: Crash) -> Ended:
 
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
     """Everything that results depend on besides the objects."""
-    packages = (*PACKAGES, *_engine_packages(config), *_kernel_packages(config))
+    open_backend(str(config.chosen))  # refused by name where it is not installed
+    packages = (*PACKAGES, *engine_packages(config.chosen), *_kernel_packages(config))
     return {
         "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
         "gripper": gripper_record(gripper),
@@ -164,17 +165,6 @@ def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
         "backend": str(config.chosen),
         "packages": {name: version(name) for name in packages},
     }
-
-
-def _engine_packages(config: GenerateConfig) -> list[str]:
-    """Packages that the chosen engine rests on, besides MuJoCo."""
-    open_backend(str(config.chosen))  # refused by name where it is not installed
-    packages = {
-        "bullet": ["pybullet"],
-        "mjx-warp": ["mujoco-mjx", "warp-lang"],
-        "mjx-jax": ["jax", "jaxlib"],
-    }
-    return packages.get(str(config.chosen), [])
 
 
 def _kernel_packages(config: GenerateConfig) -> list[str]:

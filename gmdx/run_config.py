@@ -46,6 +46,8 @@ class GenerateConfig:
         if self.sampler not in SAMPLERS:
             known = ", ".join(SAMPLERS)
             raise ConfigError(f"unknown sampler {self.sampler!r}; give one of {known}")
+        if self.batch_size is not None and self.backend in ("mujoco", "bullet"):
+            raise ConfigError(f"batch_size is of backend 'mjx', not of {self.backend!r}")
         choose(self.backend, self.impl)
         if self.trial.trials not in (TrialConfig().trials, self.trials):
             raise ConfigError("set `trials` of the whole run, not of [trial]")
@@ -68,6 +70,7 @@ class GenerateConfig:
             self,
             backend=self.chosen.backend,
             impl="auto" if self.chosen.impl is None else self.chosen.impl,
+            batch_size=None if self.chosen.impl is None else self.batch_size,
             trial=replace(self.trial, trials=self.trials),
             settle=replace(self.settle, physics=self.trial.physics),
             sample=replace(self.sample, lines=self.sample.lines.resolved()),

@@ -33,6 +33,7 @@ from gmdx.studies.bias_parts import PARTS_FOLDER, ReplayProgress, begin, put, ru
 from gmdx.studies.compare import Comparison, compare, most_disputed
 from gmdx.studies.replay import Replay, Run, RunRows, read_parts, runs_of
 from gmdx.studies.truth import TruthRow, truth_table
+from gmdx.trials.run import choose as choose_backend
 from gmdx.trials.run import open_backend
 
 if TYPE_CHECKING:
@@ -152,9 +153,10 @@ def bias_study(
     config = BiasConfig() if config is None else config
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(dataset)
     gripper = _its_gripper(dataset, gripper)
+    config = replace(config, backend=str(choose_backend(config.backend)))
     runs = runs_of(dataset, config.backend, noise_floor=config.noise_floor)
     for backend in {run.backend for run in runs}:
-        _require(backend)
+        open_backend(backend)  # refused before anything is run
     choice = choose(dataset, config)
     root = Path(out)
     begin(
@@ -162,6 +164,7 @@ def bias_study(
         {
             "dataset": content_hash(dataset.root / DATASET_FILE),
             "backend": config.backend,
+            "reference": dataset.info["backend"],
             "seed": config.seed,
             "gripper": gripper_record(gripper)["sha256"],
             "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
@@ -256,11 +259,6 @@ def choose(dataset: Dataset, config: BiasConfig) -> Choice:
         order = generator(config.seed, "bias", "grasps", object_id).permutation(count)
         rows.append(tuple(sorted(int(row) for row in order[: config.grasps])))
     return Choice(chosen, tuple(rows))
-
-
-def _require(backend: str) -> None:
-    """Refuse an engine that is not known or not installed, before anything is run."""
-    open_backend(backend)
 
 
 def _its_gripper(dataset: Dataset, gripper: Gripper | None) -> Gripper:

@@ -8,7 +8,6 @@ import numpy as np
 from gmdx.dataset.figure import INK, DrawConfig, new_figure
 from gmdx.metrics.table import METRICS
 from gmdx.trials.outcome import Outcome
-from gmdx.trials.run import BACKENDS
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -239,7 +238,7 @@ def draw_truth(study: "BiasStudy") -> "Figure":
     for backend, color in colors.items():
         found = [r for r in rows if r.backend == backend]
         places = [cases.index((r.quantity, r.setting)) for r in found]
-        main = backend in BACKENDS
+        main = backend in {run.backend for run in study.runs[:2]}
         axes.plot([r.ratio for r in found], places, "o" if main else "|", color=color,
                   markersize=6 if main else 11, mew=1 if main else 2, label=backend)  # fmt: skip
     axes.axvline(1, color="0.6", linewidth=0.8)

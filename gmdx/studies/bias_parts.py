@@ -13,12 +13,12 @@ from gmdx.dataset.files import json_text, read_json, write_text
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import OutputError, writing
 from gmdx.studies.replay import Replay, replay
+from gmdx.trials.run import choose, engine_packages
 from gmdx.workers import Crash, run_tasks
 
 STUDY_FILE, PARTS_FOLDER = "study.json", "parts"
 # Packages whose version can change a replay.
 _PACKAGES = ("gmdx", "coacd", "mujoco", "numpy")
-_OF_BACKEND = {"mujoco": (), "bullet": ("pybullet",)}
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ def begin(root: Path, header: Mapping[str, Any]) -> None:
         OutputError: The folder holds something else, or a study made otherwise.
         StorageError: The disk refused.
     """
-    packages = (*_PACKAGES, *_OF_BACKEND.get(str(header["backend"]), ()))
+    engines = [choose(str(name)) for name in (header["backend"], header["reference"])]
+    own = dict.fromkeys(package for engine in engines for package in engine_packages(engine))
+    packages = (*_PACKAGES, *own)
     versions = {"packages": {name: version(name) for name in packages}}
     text = json_text({**header, **versions})
     path = root / STUDY_FILE

@@ -132,7 +132,7 @@ def _attempt_aloud(job: _Job[TaskT, ResultT]) -> ResultT | RunFailure:
 def _attempt(job: _Job[TaskT, ResultT]) -> ResultT | RunFailure:
     try:
         return job.function(job.task)
-    except (GmdxError, RuntimeError) as error:  # the latter are Warp's and JAX's
+    except Exception as error:  # one engine's failure is none of the others'
         own = isinstance(error, GmdxError)
         # What is not our own error needs its place in the code to be understood.
         _LOG.warning("%s failed: %s", job.label, error, exc_info=None if own else error)

@@ -309,6 +309,7 @@ class Execution:
             heights = self.grasp_height[rows[mine]], self.start_height[rows[mine]]
             given = phases[number].controls(*heights, span)
             control[mine, : given.shape[1]] = given
+            control[mine, given.shape[1] :] = given[:, -1:]  # engines may step on unseen
             part = phases[number].force[span]
             force[: len(part)] = part
         begin = time.perf_counter()

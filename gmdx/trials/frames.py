@@ -32,8 +32,9 @@ class Digest:
     velocity: Float[Array, "n s 3"]  # m/s, of the object
     rise: Float[Array, "n s"]  # m/s, of the tool point
 
-    def __getitem__(self, rows: Bool[Array, "n"]) -> "Digest":
-        return Digest(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+    def __getitem__(self, index: Bool[Array, "n"] | tuple[slice, slice]) -> "Digest":
+        """Some of the trials, or of trials and steps."""
+        return Digest(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ hands back a digest; the outcome rules are those of `execute` on every engine. B
 the trials that are still alive go on, packed together, so that what has ended costs nothing.
 """
 
+import gc
 import logging
 import threading
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -162,6 +163,7 @@ class MjxBackend:
             trials.run([batch.schedule(config) for batch in chosen])
             for number, found in zip(group.numbers, trials.results(), strict=True):
                 results[number] = found
+            del engine, trials  # the next group needs the device's memory
         return [found for found in results if found is not None]
 
     def _groups(self, batches: Sequence[TrialBatch], config: TrialConfig) -> list["_Group"]:
@@ -239,19 +241,17 @@ class _Engine:
         force: Float[Array, "s 3"],
         count: Int[Array, "a"],
     ) -> Stretch:
-        self.backend.check_cancelled()
-        missing = self.config.chunk - control.shape[1]  # one length for all: one compilation
+        asked = control.shape[1]
+        missing = self.config.chunk - asked  # one length for all: one compilation
         control = np.pad(control, ((0, 0), (0, missing), (0, 0)), mode="edge")
         force = np.pad(force, ((0, missing), (0, 0)))
         while True:
             try:
-                return self._run(self.index[rows], state, control, force, count)
+                found = self._run(self.index[rows], state, control, force, count)
+                return replace(found, steps=found.steps[:, :asked])
             except DeviceMemoryError as error:
-                if self.capacity == 1:
-                    raise
-                self.capacity = -(-self.capacity // 2)
-                _LOG.warning("%s; going on with %d trials side by side", error, self.capacity)
-                del self.worlds  # its memory is needed
+                self._halve(error)
+            del self.worlds  # its memory is needed, and what failed is no longer referred to
             self.worlds = self._open()
 
     def _run(
@@ -267,6 +267,7 @@ class _Engine:
         for start in range(0, len(index), self.capacity):
             if len(waiting) == self.worlds.lanes:
                 found.append(waiting.pop(0)())
+            self.backend.check_cancelled()
             part = slice(start, start + self.capacity)
             arrays = index[part], state[part], control[part]
             waiting.append(self.worlds.launch(*arrays, force, count[part]))
@@ -274,23 +275,28 @@ class _Engine:
 
     def _open(self) -> Worlds:
         while True:
+            gc.collect()  # what a failure leaves in cycles may hold a device's memory
             try:
                 return self.backend.implementation.open_worlds(
                     self.models, capacity=self.capacity, config=self.config
                 )
             except DeviceMemoryError as error:
-                if self.capacity == 1:
-                    raise
-                self.capacity = -(-self.capacity // 2)
-                _LOG.warning("%s; trying %d trials side by side", error, self.capacity)
+                self._halve(error)
+
+    def _halve(self, error: DeviceMemoryError) -> None:
+        if self.capacity == 1:
+            raise error
+        self.capacity = -(-self.capacity // 2)
+        _LOG.warning("%s; going on with %d trials side by side", str(error), self.capacity)
 
 
 def _capacity(backend: MjxBackend, models: Sequence[GraspModel], trials: int) -> int:
     """Trials side by side: what was asked for or what memory allows, not more than there are."""
     most = backend.batch_size
     if most is None:
-        most = backend.implementation.suggested_capacity(models)
-    if most is None:
-        most = _CPU_CAPACITY
+        room = backend.implementation.suggested_capacity(models)
+        room = _CPU_CAPACITY if room is None else room
+        # Of the few sizes, as free memory is never twice the same.
+        most = max((size for size in _CAPACITIES if size <= room), default=room)
     enough = next((size for size in _CAPACITIES if size >= trials), _CAPACITIES[-1])
     return max(1, min(most, enough))

@@ -9,14 +9,8 @@ from jax import Array
 from jaxtyping import Float
 
 from gmdx.trials.mjx_jax_hulls import Hulls
-from gmdx.trials.mjx_jax_narrow import (
-    APART,
-    CONTACTS_A_PAIR,
-    Manifold,
-    box_hull,
-    hull_in_box,
-    turn,
-)
+from gmdx.trials.mjx_jax_manifold import APART, CONTACTS_A_PAIR, Manifold
+from gmdx.trials.mjx_jax_narrow import box_hull, hull_in_box, turn
 
 
 class Boxes(NamedTuple):
@@ -112,7 +106,7 @@ def hull_table_contacts(
     down = -axes[2]
     rows = jnp.arange(len(vertices))
     lowest = jnp.argmax(jnp.sum(vertices * down, axis=-1), axis=-1)  # (h)
-    facing = jnp.sum(hulls.polygon[number] * down, axis=-1)
+    facing = jnp.sum(hulls.normals[number] * down, axis=-1)[rows[:, None], hulls.face[number]]
     face = jnp.argmax(jnp.where(corner == lowest[:, None], facing, -jnp.inf), axis=-1)
     others = hulls.support[number][rows, face]  # (h 3)
     chosen = jnp.concatenate([lowest[:, None], others], axis=1)

@@ -15,7 +15,8 @@ from gmdx.trials.mjx_jax_collide import (
     pair_contacts,
     table_contacts,
 )
-from gmdx.trials.mjx_jax_narrow import Manifold, dot, turn
+from gmdx.trials.mjx_jax_manifold import Manifold, dot
+from gmdx.trials.mjx_jax_narrow import turn
 from gmdx.trials.mjx_jax_rig import DOFS, SLIDES, Body, Rig
 from gmdx.trials.mjx_jax_solver import Cones, Rows
 

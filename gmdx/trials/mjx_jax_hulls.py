@@ -18,7 +18,6 @@ from gmdx.scenes.build import GraspModel
 
 _HULLS = (2, 8, 16, 32, 64, 128)
 _VERTICES = (16, 32, 64, 128, 256)
-_SHARPEST_FLAT = 1e-3  # rad: faces that meet at less share one plane, and no edge
 
 
 @dataclass(frozen=True)
@@ -59,9 +58,9 @@ class Hulls(NamedTuple):
     half: Any  # (h 3) m, of the bounding box
     used: Any  # (h) bool
     middle: Any  # (h 3) m, of the mesh
-    corner: Any  # (h c) vertex, for every corner of every polygon
-    polygon: Any  # (h c 3) normal of that polygon
-    support: Any  # (h c 3) vertices that span the polygon with that corner
+    corner: Any  # (h c) vertex, for every corner of every face
+    face: Any  # (h c) that face
+    support: Any  # (h c 3) vertices that span the face with that corner
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class _Hull:
     edge_faces: Int[Array, "e 2"]
     middle: Float[Array, "3"]
     corner: Int[Array, "c"]
-    polygon: Float[Array, "c 3"]
+    face: Int[Array, "c"]
     support: Int[Array, "c 3"]
 
 
@@ -123,7 +122,7 @@ def object_hulls(model: GraspModel, bounds: Bucket) -> Hulls:
         used=np.arange(bounds.hulls) < len(hulls),
         middle=_repeat(np.stack([hull.middle for hull in hulls]), bounds.hulls),
         corner=filled("corner", bounds.corners).astype(np.int32),
-        polygon=filled("polygon", bounds.corners),
+        face=filled("face", bounds.corners).astype(np.int32),
         support=filled("support", bounds.corners).astype(np.int32),
     )
 
@@ -162,40 +161,33 @@ def _object_meshes(model: GraspModel) -> list[int]:
     return [int(m.geom_dataid[geom]) for geom in geoms]
 
 
-def _graph(m: mujoco.MjModel, mesh: int) -> tuple[Int[Array, "v"], Int[Array, "f 3"]]:
-    """Vertices on a mesh's convex hull, and the hull's triangles (mjModel.mesh_graph)."""
-    graph = m.mesh_graph[m.mesh_graphadr[mesh] :]
-    vertices, faces = int(graph[0]), int(graph[1])
-    corners = graph[2 + vertices : 2 + 2 * vertices]
-    start = 2 + 3 * vertices + 3 * faces
-    triangles = graph[start : start + 3 * faces].reshape(-1, 3)
-    return np.asarray(corners, int), np.asarray(triangles, int)
-
-
 def _corners(m: mujoco.MjModel, mesh: int) -> Int[Array, "v"]:
-    return _graph(m, mesh)[0]
+    """Vertices of a mesh that are corners of its hull's faces."""
+    return np.unique(np.concatenate(_rings(m, mesh)))
+
+
+def _rings(m: mujoco.MjModel, mesh: int) -> list[Int[Array, "c"]]:
+    """The corners of every face of a mesh's hull, in order around it, as MuJoCo merged them."""
+    first, count = int(m.mesh_polyadr[mesh]), int(m.mesh_polynum[mesh])
+    begins, sizes = m.mesh_polyvertadr, m.mesh_polyvertnum
+    return [
+        np.array(m.mesh_polyvert[begins[face] : begins[face] + sizes[face]], int)
+        for face in range(first, first + count)
+    ]
 
 
 def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
     """The hull that MuJoCo collides, in the frame of its body."""
     mesh = int(m.geom_dataid[geom])
-    corners, triangles = _graph(m, mesh)
-    start = int(m.mesh_vertadr[mesh])
-    local = np.asarray(m.mesh_vert[start + corners], float)
-    vertices = m.geom_pos[geom] + local @ quaternion_matrix(m.geom_quat[geom]).T
-    place = np.full(int(m.mesh_vertnum[mesh]), -1)
-    place[corners] = np.arange(len(corners))
-    faces = place[triangles]
-
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    area = np.linalg.norm(normals, axis=1)
-    faces, normals = faces[area > 0], normals[area > 0] / area[area > 0, None]
-    outward = np.sum(normals * (vertices[faces[:, 0]] - vertices.mean(axis=0)), axis=1) > 0
-    normals = np.where(outward[:, None], normals, -normals)
-    edges, sides = _edges(faces, normals)
-    corner, polygon, support = _polygon_corners(m, mesh, place)
     turn = quaternion_matrix(m.geom_quat[geom])
+    corners, rings = _corners(m, mesh), _rings(m, mesh)
+    local = np.asarray(m.mesh_vert[int(m.mesh_vertadr[mesh]) + corners], float)
+    vertices = m.geom_pos[geom] + local @ turn.T
+    rings = [np.searchsorted(corners, ring) for ring in rings]
+    first = int(m.mesh_polyadr[mesh])
+    normals = np.asarray(m.mesh_polynormal[first : first + len(rings)], float) @ turn.T
+    edges, sides = _edges(rings)
+    sizes = [len(ring) for ring in rings]
     return _Hull(
         vertices=vertices,
         normals=normals,
@@ -204,32 +196,28 @@ def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
         edges=edges,
         edge_faces=sides,
         middle=np.array(m.geom_pos[geom]),
-        corner=corner,
-        polygon=polygon @ turn.T,
-        support=support,
+        corner=np.concatenate(rings),
+        face=np.repeat(np.arange(len(rings)), sizes),
+        support=np.array(
+            [
+                ring[_quadrilateral(local[ring], anchor)]
+                for ring in rings
+                for anchor in range(len(ring))
+            ]
+        ),
     )
 
 
-def _polygon_corners(
-    m: mujoco.MjModel, mesh: int, place: Int[Array, "n"]
-) -> tuple[Int[Array, "c"], Float[Array, "c 3"], Int[Array, "c 3"]]:
-    """For every corner of every face of a mesh the face's normal, and three more of its corners.
-
-    The three are those with which the corner spans the largest quadrilateral that C MuJoCo finds
-    in the face; a triangle's own, and one of them again.
-    """
-    start = int(m.mesh_vertadr[mesh])
-    first, count = int(m.mesh_polyadr[mesh]), int(m.mesh_polynum[mesh])
-    corner, polygon, support = [], [], []
-    for face in range(first, first + count):
-        begin = int(m.mesh_polyvertadr[face])
-        ring = np.array(m.mesh_polyvert[begin : begin + int(m.mesh_polyvertnum[face])])
-        points = np.asarray(m.mesh_vert[start + ring], float)
-        for anchor in range(len(ring)):
-            corner.append(place[ring[anchor]])
-            polygon.append(np.asarray(m.mesh_polynormal[face], float))
-            support.append(place[ring[_quadrilateral(points, anchor)]])
-    return np.array(corner), np.array(polygon), np.array(support)
+def _edges(rings: Sequence[Int[Array, "c"]]) -> tuple[Int[Array, "e 2"], Int[Array, "e 2"]]:
+    """Edges between two faces, and those faces."""
+    pairs = np.sort(
+        np.concatenate([np.column_stack([ring, np.roll(ring, -1)]) for ring in rings]), axis=1
+    )
+    owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
+    order = np.lexsort((owner, pairs[:, 1], pairs[:, 0]))
+    pairs, owner = pairs[order], owner[order]
+    twin = np.flatnonzero(np.all(pairs[:-1] == pairs[1:], axis=1))
+    return pairs[twin], np.stack([owner[twin], owner[twin + 1]], axis=1)
 
 
 def _quadrilateral(points: Float[Array, "n 3"], anchor: int) -> list[int]:
@@ -257,18 +245,3 @@ def _quadrilateral(points: Float[Array, "n 3"], anchor: int) -> list[int]:
             while grows(which):
                 pass
     return chosen[1:]
-
-
-def _edges(
-    faces: Int[Array, "f 3"], normals: Float[Array, "f 3"]
-) -> tuple[Int[Array, "e 2"], Int[Array, "e 2"]]:
-    """Edges between faces that meet at an angle, and those faces."""
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    owner = np.tile(np.arange(len(faces)), 3)
-    order = np.lexsort((owner, pairs[:, 1], pairs[:, 0]))
-    pairs, owner = pairs[order], owner[order]
-    twin = np.flatnonzero(np.all(pairs[:-1] == pairs[1:], axis=1))
-    sides = np.stack([owner[twin], owner[twin + 1]], axis=1)
-    bend = np.linalg.norm(np.cross(normals[sides[:, 0]], normals[sides[:, 1]]), axis=1)
-    flat = (bend < _SHARPEST_FLAT) & (np.sum(normals[sides[:, 0]] * normals[sides[:, 1]], 1) > 0)
-    return pairs[twin][~flat], sides[~flat]

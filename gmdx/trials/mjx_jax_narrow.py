@@ -1,13 +1,11 @@
-"""Contacts of one box with one convex hull, in fixed shapes.
+"""The depth of one box in one convex hull, in fixed shapes.
 
 Two convex bodies that overlap are parted along the direction of least depth, found among the
 face normals of both and the cross products of their edges (separating axis test, with the Gauss
 map of Gregorius, GDC 2013). Along that direction the depth of the overlap is a concave function
 of the lateral position whose vertices are the hull's vertices, the box's corners and the
-crossings of their edges: the contacts are the deepest of these and three that span the patch.
+crossings of their edges.
 """
-
-from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,37 +13,20 @@ from jax import Array
 from jaxtyping import Float
 
 from gmdx.trials.mjx_jax_hulls import Hulls
+from gmdx.trials.mjx_jax_manifold import (
+    APART,
+    BOX_FACE,
+    EDGES,
+    HULL_FACE,
+    Hull,
+    Manifold,
+    Parting,
+    dot,
+    manifold,
+)
 
-CONTACTS_A_PAIR = 4
-APART = 1.0  # m, distance of a contact that is none
 _TIE = 1e-6  # m: faces are preferred to edges, and the box's to the hull's, by this, as C does
-_SAME = 1e-5  # m: contacts closer than this are one
 _PARALLEL = 1e-9
-
-
-class Manifold(NamedTuple):
-    """Up to k contacts; `distance` is negative where they press, normals point into the second."""
-
-    distance: Any  # (k) m
-    position: Any  # (k 3) m, midway between the surfaces
-    normal: Any  # (k 3)
-
-
-class Hull(NamedTuple):
-    """One hull's numbers in a box's frame."""
-
-    vertices: Any  # (v 3) m
-    normals: Any  # (f 3)
-    offsets: Any  # (f) m
-    starts: Any  # (e 3) m, of edges
-    ends: Any  # (e 3) m
-    left: Any  # (e 3) normals of the faces beside each edge
-    right: Any  # (e 3)
-
-
-def dot(a: Array, b: Array) -> Array:
-    """Sums of products along the last axis, never in reduced precision as matrix products are."""
-    return jnp.sum(a * b, axis=-1)
 
 
 def turn(matrix: Array, vectors: Array) -> Array:
@@ -84,33 +65,34 @@ def hull_in_box(
         ends=vertices[edges[:, 1]],
         left=normals[sides[:, 0]],
         right=normals[sides[:, 1]],
+        sides=sides,
+        corner=hulls.corner[which],
+        face=hulls.face[which],
     )
 
 
 def box_hull(half: Float[Array, "3"], hull: Hull) -> Manifold:
     """Contacts of a box with a hull, in the box's frame; normals point into the hull."""
-    gap, normal = _parting(half, hull)
-    depth, surface = _depths(half, hull, normal)
-    depth = jnp.where(gap < 0, depth, -APART)
-    chosen, distinct = _spread(depth, surface, normal)
-    deep = depth[chosen]
-    distance = jnp.where(distinct & (deep > 0), -deep, APART)
-    position = surface[chosen] - 0.5 * jnp.where(distance < 0, deep, 0.0)[:, None] * normal
-    return Manifold(distance, position, jnp.broadcast_to(normal, position.shape))
+    parting = _parting(half, hull)
+    depth, surface = _depths(half, hull, parting.normal)
+    deepest = jnp.argmax(depth)
+    single = surface[deepest] - 0.5 * jnp.maximum(depth[deepest], 0.0) * parting.normal
+    return manifold(half, hull, parting, single)
 
 
-def _parting(half: Array, hull: Hull) -> tuple[Array, Array]:
-    """The widest gap between box and hull, m (negative: depth), and its direction into the hull."""
+def _parting(half: Array, hull: Hull) -> Parting:
+    """The widest gap between box and hull, and its direction."""
     eye = jnp.eye(3, dtype=half.dtype)
     gaps = jnp.concatenate([hull.vertices.min(axis=0) - half, -hull.vertices.max(axis=0) - half])
     best = jnp.argmax(gaps)
     gap, normal = gaps[best], jnp.concatenate([eye, -eye])[best]
 
     gaps = -dot(jnp.abs(hull.normals), half) - hull.offsets
-    best = jnp.argmax(gaps)
-    better = gaps[best] > gap + _TIE
-    gap = jnp.where(better, gaps[best], gap)
-    normal = jnp.where(better, -hull.normals[best], normal)
+    face = jnp.argmax(gaps)
+    better = gaps[face] > gap + _TIE
+    gap = jnp.where(better, gaps[face], gap)
+    normal = jnp.where(better, -hull.normals[face], normal)
+    kind = jnp.where(better, HULL_FACE, BOX_FACE)
 
     along = hull.ends - hull.starts
     axes = jnp.cross(along[:, None, :], eye[None])
@@ -127,9 +109,14 @@ def _parting(half: Array, hull: Hull) -> tuple[Array, Array]:
     gaps = jnp.where(usable & between, gaps, -jnp.inf).ravel()
     best = jnp.argmax(gaps)
     better = gaps[best] > gap + _TIE
-    gap = jnp.where(better, gaps[best], gap)
-    normal = jnp.where(better, -axes.reshape(-1, 3)[best], normal)
-    return gap, normal
+    return Parting(
+        gap=jnp.where(better, gaps[best], gap),
+        normal=jnp.where(better, -axes.reshape(-1, 3)[best], normal),
+        kind=jnp.where(better, EDGES, kind),
+        face=face,
+        edge=best // 3,
+        axis=best % 3,
+    )
 
 
 # Corners of the face across each axis, in order around it.
@@ -194,25 +181,3 @@ def _crossings(corners: Array, hull: Hull, normal: Array) -> tuple[Array, Array]
     points = start + on_box[..., None] * side
     depth = dot(points - (hull.starts[None] + on_hull[..., None] * along), normal)
     return jnp.where(meets, depth, -APART).ravel(), points.reshape(-1, 3)
-
-
-def _spread(depth: Array, points: Array, normal: Array) -> tuple[Array, Array]:
-    """The deepest point and three that span the widest patch with it; whether they are distinct."""
-    inside = depth > 0
-
-    def widest(measure: Array) -> Array:
-        return jnp.argmax(jnp.where(inside, measure, -jnp.inf))
-
-    a = jnp.argmax(depth)
-    away = points - points[a]
-    b = widest(dot(away, away))
-    base = away[b] - dot(away[b], normal) * normal
-    length = jnp.sqrt(dot(base, base))
-    lateral = dot(jnp.cross(normal, base), away) / jnp.where(length > 0, length, 1.0)
-    c = widest(jnp.abs(lateral))
-    opposite = -jnp.sign(lateral[c]) * lateral
-    d = widest(opposite)
-    distinct = jnp.stack(
-        [inside[a], length > _SAME, jnp.abs(lateral[c]) > _SAME, opposite[d] > _SAME]
-    )
-    return jnp.stack([a, b, c, d]), distinct & inside[jnp.stack([a, b, c, d])]

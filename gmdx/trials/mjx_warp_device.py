@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -34,7 +35,8 @@ def device_memory(what: str) -> Iterator[None]:
         yield
     except RuntimeError as error:
         text = str(error).lower()
-        if "failed to allocate" in text or "out of memory" in text:
+        full = "failed to allocate" in text or "out of memory" in text
+        if full and "memory pool" not in text:
             raise DeviceMemoryError(f"no device memory for {what}: {error}") from error
         raise
 
@@ -145,14 +147,17 @@ class _Run:
     """Buffers for chunks of `steps` steps of `size` worlds."""
 
     def __init__(self, owner: DeviceWorlds, size: int, steps: int) -> None:
-        self.owner, self.size, self.steps = owner, size, steps
+        # No cycle: an owner that is dropped gives its memory back at once.
+        self.owner, self.size, self.steps = weakref.proxy(owner), size, steps
         shared = owner.library.model
         self.room = max(owner.contacts * size, owner.contact_limit)
         self.data = mjw.make_data(shared, nworld=size, naconmax=self.room, njmax=owner.rows)
         self.arrays = chunk_arrays(shared, size, steps, owner.device, pinned=False)
         cuda = owner.device.is_cuda
-        self.host = [chunk_arrays(shared, size, steps, "cpu", pinned=cuda) for _ in range(LANES)]
-        self.lane = 0
+        # One set for each launch under way, and one for a launch that runs again.
+        self.free = [
+            chunk_arrays(shared, size, steps, "cpu", pinned=cuda) for _ in range(LANES + 1)
+        ]
         self.graph: Any = None
 
     def start(
@@ -164,8 +169,7 @@ class _Run:
         count: Int[Array, "n"],
     ) -> Callable[[], Stretch | int]:
         """Queue a chunk; where contacts had no room, what comes back says how many there were."""
-        host = self.host[self.lane]
-        self.lane = (self.lane + 1) % LANES
+        host = self.free.pop()
         n, nq = len(index), self.owner.library.model.nq
         for name, values in (("index", index), ("count", count), ("control", control)):
             getattr(host, name).numpy()[:n] = values
@@ -188,10 +192,10 @@ class _Run:
             if queued is not None:
                 wp.synchronize_event(queued)
             need = int(host.need.numpy().max())
-            if need > self.room:
-                return need
             time = state[:, 0] + count * float(self.owner.library.model.opt.timestep)
-            return stretch(host, n, nq, time)
+            found = need if need > self.room else stretch(host, n, nq, time)
+            self.free.append(host)
+            return found
 
         return wait
 

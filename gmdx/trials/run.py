@@ -64,20 +64,32 @@ def choose(backend: str, impl: str = "auto") -> Chosen:
     Raises:
         ConfigError: A name is not known.
     """
-    family, dash, part = backend.partition("-")
-    if dash and family == "mjx":
-        backend, impl = family, part
-    if backend not in ("auto", *BACKENDS):
-        names = ", ".join(("auto", *BACKENDS))
-        raise ConfigError(f"unknown backend {backend!r}; give one of {names}")
+    known = ("auto", *BACKENDS, *(f"mjx-{name}" for name in IMPLEMENTATIONS))
+    if backend not in known:
+        raise ConfigError(f"unknown backend {backend!r}; give one of {', '.join(known)}")
     if impl not in ("auto", *IMPLEMENTATIONS):
         names = ", ".join(("auto", *IMPLEMENTATIONS))
         raise ConfigError(f"unknown implementation {impl!r} of backend 'mjx'; give one of {names}")
+    family, _, part = backend.partition("-")
+    if impl != "auto" and (family in ("mujoco", "bullet") or (part and part != impl)):
+        raise ConfigError(f"implementation {impl!r} is of backend 'mjx', not of {backend!r}")
+    if part:
+        backend, impl = family, part
     if backend not in ("auto", "mjx") or (backend == "auto" and not has_accelerator()):
         return Chosen("mujoco" if backend == "auto" else backend)
     if impl == "auto":
         impl = "warp" if warp_fits() else "jax"
     return Chosen("mjx", impl)
+
+
+def engine_packages(chosen: Chosen) -> tuple[str, ...]:
+    """Packages that an engine rests on, besides C MuJoCo."""
+    packages = {
+        "bullet": ("pybullet",),
+        "mjx-warp": ("mujoco-mjx", "warp-lang"),
+        "mjx-jax": ("jax", "jaxlib"),
+    }
+    return packages.get(str(chosen), ())
 
 
 def _mujoco(threads: int) -> Backend:

@@ -1,6 +1,8 @@
 """MJX against C MuJoCo, and what its engine does with batches, whoever computes them."""
 
+import gc
 import logging
+import weakref
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,7 +20,7 @@ from gmdx.scenes.scene import Scene
 from gmdx.trials import mjx_warp
 from gmdx.trials.batch import place
 from gmdx.trials.frames import Stretch
-from gmdx.trials.mjx import MjxBackend, Worlds
+from gmdx.trials.mjx import Cancelled, MjxBackend, Worlds
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
@@ -190,13 +192,15 @@ def test_no_scenes_and_no_grasps_are_no_results(
 
 def test_names_of_backends() -> None:
     assert str(choose("mjx", "jax")) == str(choose("mjx-jax")) == "mjx-jax"
-    assert choose("mujoco", "jax").impl is None
-    with pytest.raises(ConfigError, match=r"unknown backend 'mjy'.*auto, mujoco, mjx, bullet"):
-        choose("mjy")
+    assert choose("mujoco").impl is None
+    for wrong in ("mjy", "mjx-cuda", "mjx-"):
+        with pytest.raises(ConfigError, match=rf"unknown backend '{wrong}'.*mjx, .*mjx-warp"):
+            choose(wrong)
+    for backend, impl in (("mujoco", "jax"), ("bullet", "warp"), ("mjx-jax", "warp")):
+        with pytest.raises(ConfigError, match=f"implementation '{impl}' is of backend 'mjx', not"):
+            choose(backend, impl)
     with pytest.raises(ConfigError, match=r"unknown implementation 'cuda'.*auto, warp, jax"):
         choose("mjx", "cuda")
-    with pytest.raises(ConfigError, match=r"unknown implementation 'cuda'"):
-        choose("mjx-cuda")
 
 
 def test_auto_is_mjx_where_there_is_an_accelerator(
@@ -213,6 +217,74 @@ def test_auto_is_mjx_where_there_is_an_accelerator(
     monkeypatch.setattr("gmdx.devices.cuda_devices", lambda: 0)
     monkeypatch.setattr("gmdx.devices.accelerator", lambda: "tpu")
     assert str(choose("auto")) == str(choose("mjx")) == "mjx-jax"
+
+
+@pytest.mark.parametrize("impl", ["warp", "jax"])
+def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound(impl: str) -> None:
+    """The ramp is no whole number of chunks long."""
+    scene = resting_scene(box_object((0.03, 0.04, 0.05), friction=2.6))
+    grasp = PlanarGrasp(np.zeros(1, int), np.array([[0, 0, 0.025]]), np.zeros(1), np.full(1, 0.05))
+    config = TrialConfig(trials=1)
+    reference = run_trials(scene, grasp, config=config)
+    found = run_trials(scene, grasp, "mjx", impl=impl, config=config)
+    assert reference.push_force_is_lower_bound[0]
+    assert found.push_force_is_lower_bound[0]
+    assert found.push_force[0] == reference.push_force[0] == pytest.approx(60.0)
+
+
+def test_a_cancelled_run_ends_at_its_next_launch(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    backend = MjxBackend("warp")
+    launched = 0
+
+    class Watched(_Small):
+        def open_worlds(
+            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        ) -> Worlds:
+            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            launch = worlds.launch
+
+            def noted(*arrays: np.ndarray) -> Callable[[], Stretch]:
+                nonlocal launched
+                launched += 1
+                backend.cancel()
+                return launch(*arrays)
+
+            worlds.launch = noted  # type: ignore[method-assign]
+            return worlds
+
+    backend.implementation = Watched(16, at_launch=True)
+    with pytest.raises(Cancelled):
+        run_trials(scenes[:1], grasps[:1], backend, trials=1)
+    assert launched == 1
+
+
+def test_a_smaller_batch_gets_the_memory_of_the_larger_one(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    """Nothing holds what did not fit: it is gone before it is tried again."""
+    held: list[weakref.ref[Worlds]] = []
+
+    class Watched(_Small):
+        def open_worlds(
+            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        ) -> Worlds:
+            assert not any(worlds() is not None for worlds in held)
+            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            held.extend(weakref.ref(part) for part in worlds.worlds.parts)  # type: ignore[attr-defined]
+            return worlds
+
+    backend = MjxBackend("warp")
+    backend.implementation = Watched(5, at_launch=True)
+    gc.collect()
+    gc.disable()
+    try:
+        run_trials(scenes[:1], grasps[:1], backend, trials=2)
+    finally:
+        gc.enable()
+    assert len(held) == 3
+    assert not any(worlds() is not None for worlds in held)
 
 
 def test_scenes_and_grasps_come_in_pairs(scenes: list[Scene], grasps: list[PlanarGrasp]) -> None:

@@ -347,6 +347,25 @@ def test_buffers_of_contacts_grow_without_a_trace(
     assert _bytes(found, mixed.count) == _bytes(mixed.launch(worlds), mixed.count)
 
 
+@ON_CPU
+def test_launches_under_way_keep_their_own_numbers(
+    worlds: WarpWorlds, models: list[GraspModel], mixed: Mixed
+) -> None:
+    """Also where some of them have to run again, with more room for contacts."""
+    small = WarpWorlds(models, capacity=4, physics=PHYSICS, contacts=1)
+    small.parts[0].contact_limit = 1
+    waiting, found = [], []
+    for start in range(0, len(mixed.index), 4):
+        if len(waiting) == small.lanes:
+            found.append(waiting.pop(0)())
+        rows = slice(start, start + 4)
+        arrays = mixed.index[rows], mixed.state[rows], mixed.control[rows]
+        waiting.append(small.launch(*arrays, mixed.force, mixed.count[rows]))
+    whole = frames.joined([*found, *(wait() for wait in waiting)])
+    assert len(found) >= 3
+    assert _bytes(whole, mixed.count) == _bytes(mixed.launch(worlds), mixed.count)
+
+
 def test_a_trial_with_more_contacts_than_its_limit_overflows(
     models: list[GraspModel], mixed: Mixed, worlds: WarpWorlds
 ) -> None:
