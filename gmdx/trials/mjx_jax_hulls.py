@@ -166,7 +166,7 @@ def _corners(m: mujoco.MjModel, mesh: int) -> Int[Array, "v"]:
     return np.unique(np.concatenate(_rings(m, mesh)))
 
 
-def _rings(m: mujoco.MjModel, mesh: int) -> list[Int[Array, "c"]]:
+def _rings(m: mujoco.MjModel, mesh: int) -> list[Array]:
     """The corners of every face of a mesh's hull, in order around it, as MuJoCo merged them."""
     first, count = int(m.mesh_polyadr[mesh]), int(m.mesh_polynum[mesh])
     begins, sizes = m.mesh_polyvertadr, m.mesh_polyvertnum
@@ -208,7 +208,7 @@ def _hull(m: mujoco.MjModel, geom: int) -> _Hull:
     )
 
 
-def _edges(rings: Sequence[Int[Array, "c"]]) -> tuple[Int[Array, "e 2"], Int[Array, "e 2"]]:
+def _edges(rings: Sequence[Array]) -> tuple[Int[Array, "e 2"], Int[Array, "e 2"]]:
     """Edges between two faces, and those faces."""
     pairs = np.sort(
         np.concatenate([np.column_stack([ring, np.roll(ring, -1)]) for ring in rings]), axis=1

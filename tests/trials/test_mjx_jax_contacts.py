@@ -11,16 +11,27 @@ pytest.importorskip("jax")
 
 import jax
 import jax.numpy as jnp
+from mujoco import rollout
 
 from gmdx.errors import UsageError
 from gmdx.geometry import quaternion_matrix
+from gmdx.grasps.sample import sample_grasps
+from gmdx.objects.catalog import resolve
+from gmdx.objects.prepare import prepare
 from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
 from gmdx.scenes.gripper import load_gripper
+from gmdx.scenes.settle import settle
+from gmdx.trials import batch as batches
+from gmdx.trials.execute import Execution
+from gmdx.trials.frames import Stretch
 from gmdx.trials.mjx_jax_alike import check_alike
 from gmdx.trials.mjx_jax_collide import hull_table_contacts
 from gmdx.trials.mjx_jax_hulls import Bucket, Hulls, bucket, object_hulls
-from gmdx.trials.mjx_jax_narrow import Manifold, box_hull, hull_in_box
+from gmdx.trials.mjx_jax_manifold import Manifold
+from gmdx.trials.mjx_jax_narrow import _parting, box_hull, hull_in_box
 from gmdx.trials.mjx_jax_rig import read_rig
+from gmdx.trials.mujoco import _Engine
+from gmdx.trials.protocol import TrialConfig
 from tests.support import box_object, cylinder_object, mesh_object, sphere_object
 
 HALF = np.array([0.004, 0.01, 0.007])
@@ -47,6 +58,12 @@ def _poses(count: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
 def _touch(hulls: Hulls, place: jax.Array, axes: jax.Array) -> Manifold:
     hull = hull_in_box(hulls, (jnp.asarray(0),), place, axes, jnp.zeros(3), jnp.eye(3))
     return box_hull(jnp.asarray(HALF), hull)
+
+
+@jax.jit
+def _gap(hulls: Hulls, place: jax.Array, axes: jax.Array) -> jax.Array:
+    hull = hull_in_box(hulls, (jnp.asarray(0),), place, axes, jnp.zeros(3), jnp.eye(3))
+    return _parting(jnp.asarray(HALF), hull).gap
 
 
 def _rocks(count: int) -> np.ndarray:
@@ -103,7 +120,8 @@ def test_depths_are_those_of_mujoco(obj: object) -> None:
         data.qpos[3:7] = quaternion
         mujoco.mj_kinematics(m, data)
         expected = mujoco.mj_geomDistance(m, data, box, hull, 1.0, None)
-        found = float(_touch(hulls, place, axes).distance.min())
+        found = float(_gap(hulls, place, axes))
+        assert (float(_touch(hulls, place, axes).distance.min()) < 0) == (found < 0)
         if expected < -1e-6:
             assert found == pytest.approx(expected, abs=2e-6)
         elif expected > 1e-6:
@@ -211,3 +229,62 @@ def test_grippers_that_the_step_does_not_compute_are_refused() -> None:
     other.model.geom_type[3] = mujoco.mjtGeom.mjGEOM_CAPSULE
     with pytest.raises(UsageError, match="other shapes than boxes"):
         read_rig(other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cross", "hammer"])
+def test_most_contacts_of_real_grips_are_those_of_mujoco(name: str) -> None:
+    """Number, places, depths and normals, of pads on hulls, on the way of real trials."""
+    scene = settle(prepare(resolve([f"bundled:{name}"])[0]), 0)
+    grasps = sample_grasps(scene, 12, 0)
+    batch = batches.place(scene, grasps, gripper=load_gripper(), config=TrialConfig(trials=1))
+    states: list[np.ndarray] = []
+
+    class Noted(_Engine):
+        def step(self, *arrays: np.ndarray) -> Stretch:
+            found = super().step(*arrays)
+            states.extend(found.state[found.steps.touches[:, -1]])
+            return found
+
+    model = grasp_model(scene.object, load_gripper(), PhysicsConfig())
+    with rollout.Rollout(nthread=1) as pool:
+        trials = Execution(Noted(model, pool, 1), [batch], TrialConfig(trials=1))
+        trials.run([batch.schedule(TrialConfig(trials=1))])
+    hulls = jax.tree.map(jnp.asarray, object_hulls(model, bucket(model)))
+    m, data = model.model, mujoco.MjData(model.model)
+    geoms = [g for g in range(m.ngeom) if m.geom_bodyid[g] == model.object_body]
+    pads = [m.geom("gripper/" + pad).id for pad in model.gripper.pads]
+
+    @jax.jit
+    def touch(which: int, half: jax.Array, *where: jax.Array) -> Manifold:
+        return box_hull(half, hull_in_box(hulls, (which,), *where))
+
+    alike = []
+    for state in states[::4]:
+        data.qpos[:] = state[1 : 1 + m.nq]
+        mujoco.mj_forward(m, data)
+        expected: dict[tuple[int, int], list[np.ndarray]] = {}
+        for contact in data.contact:
+            if contact.geom1 in pads and contact.geom2 in geoms:
+                numbers = [contact.dist, *contact.pos, *contact.frame[:3]]
+                expected.setdefault((contact.geom1, contact.geom2), []).append(np.array(numbers))
+        for (pad, hull), contacts in expected.items():
+            R, origin = data.geom_xmat[pad].reshape(3, 3), data.geom_xpos[pad]
+            axes = data.xmat[model.object_body].reshape(3, 3)
+            arrays = m.geom_size[pad], data.qpos[:3], axes, origin, R
+            found = touch(geoms.index(hull), *arrays)
+            there = np.asarray(found.distance) < 0
+            position = origin + np.asarray(found.position)[there] @ R.T
+            normal = np.asarray(found.normal)[there] @ R.T
+            ours = np.column_stack([np.asarray(found.distance)[there], position, normal])
+            theirs = np.array(contacts)
+            same = len(ours) == len(theirs) and np.allclose(
+                _by_place(ours), _by_place(theirs), atol=1e-5, rtol=1e-3
+            )
+            alike.append(same)
+    assert len(alike) > 40
+    assert np.mean(alike) > 0.8
+
+
+def _by_place(contacts: np.ndarray) -> np.ndarray:
+    return contacts[np.lexsort(np.round(contacts[:, 1:4].T, 5))]
