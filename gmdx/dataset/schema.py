@@ -85,8 +85,8 @@ BOUNDS = tuple(
 OUTCOME = (
     Column("force_is_lower_bound", pa.bool_(), "", "whether the push ended before the object came "
            "out, so that force is a lower bound"),
-    Column("valid_trials", pa.int32(), "", "trials that did not diverge: what sim_success and "
-           "sim_coll are shares of"),
+    Column("valid_trials", pa.int32(), "", "trials that neither diverged nor overflowed: what "
+           "sim_success and sim_coll are shares of"),
     Column("outcome", pa.string(), "", f"of the nominal trial: {', '.join(OUTCOMES)}"),
     Column("outcomes", pa.list_(pa.string()), "", "of every trial; the first is the nominal one"),
 )  # fmt: skip
