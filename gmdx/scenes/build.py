@@ -55,7 +55,7 @@ class PhysicsConfig:
             raise ConfigError(
                 "physics: pyramidal friction cones are refused: forces between the edges of the "
                 "pyramid are too small (a 0.5 kg box held by two pads came out at 0.81 of the "
-                "closed form when pushed sideways, on every engine); use elliptic"
+                "closed form when pushed sideways, in C MuJoCo and in Warp alike); use elliptic"
             )
         if self.cone != "elliptic":
             raise ConfigError(f"physics: unknown cone {self.cone!r}; give elliptic")
