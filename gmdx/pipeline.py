@@ -1,6 +1,7 @@
 """The stages in a row: objects in, an annotated dataset out. Composes; holds no mathematics."""
 
 import contextlib
+import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,6 +20,8 @@ from gmdx.run_config import GenerateConfig
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
 from gmdx.trials.run import engine_packages, open_backend
 from gmdx.workers import Crash, Finished, run_tasks
+
+logger = logging.getLogger("gmdx")
 
 __all__ = ["GenerateConfig", "Progress", "Summary", "generate"]
 
@@ -76,7 +79,10 @@ def generate(
         UsageError: The objects, the gripper, the options or the folder do not work.
         DatasetError: The disk refused a write; what is complete stays.
     """
-    config = (GenerateConfig() if config is None else config).resolved()
+    config = GenerateConfig() if config is None else config
+    if config.backend == "auto":
+        logger.info("backend auto: %s runs the trials", config.chosen)
+    config = config.resolved()
     specs = [objects] if isinstance(objects, str | Path) else list(objects)
     sources = resolve([str(spec) for spec in specs], leave_out=Path(out))
     gripper = load_gripper(config.gripper)

@@ -79,6 +79,22 @@ def test_no_byte_depends_on_batches_or_workers(
     assert contents(tmp_path) == contents(dataset)
 
 
+def test_auto_says_what_it_stands_for(
+    meshes: list[Path],
+    cache: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("gmdx.trials.run.has_accelerator", lambda: False)
+    with caplog.at_level(logging.INFO, logger="gmdx"):
+        config = small_config(cache, grasps=2, scenes=1, backend="auto", batch_size=5)
+        generate(meshes[:1], tmp_path, config)
+    assert "backend auto: mujoco runs the trials" in caplog.messages
+    header = json.loads((tmp_path / "dataset.json").read_text())
+    assert header["backend"] == header["configuration"]["backend"] == "mujoco"
+
+
 @ON_CPU
 def test_a_run_is_continued(dataset: Path, meshes: list[Path], cache: Path, tmp_path: Path) -> None:
     generate(meshes[:1], tmp_path, _warp(cache))
