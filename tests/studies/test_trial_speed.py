@@ -150,9 +150,14 @@ def test_an_engine_that_fails_is_named_and_ends_nothing_else(
     assert (run("pid") == os.getpid()) != isolated
 
 
-def test_a_programming_error_is_no_engine_failure() -> None:
-    with pytest.raises(TypeError):
-        run_apart(len, 3, label="some engine", isolated=False)
+def test_an_error_that_nobody_foresaw_is_named_with_its_place(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    found = run_apart(len, 3, label="some engine", isolated=False)
+    assert isinstance(found, RunFailure)
+    assert found.error.startswith("TypeError: ")
+    (record,) = caplog.records
+    assert record.exc_info is not None
 
 
 @pytest.mark.parametrize(
@@ -264,7 +269,7 @@ def test_a_missing_extra_is_said_in_one_line_before_anything_runs(
     ("words", "message"),
     [
         (["--backend", "mujoco,pullet"], "unknown backend 'pullet'"),
-        (["--backend", "mjx-warped"], "unknown implementation 'warped'"),
+        (["--backend", "mjx-warped"], "unknown backend 'mjx-warped'"),
         (["--batch-size", "4,x"], "--batch-size takes numbers"),
         (["--batch-size", "4", "--backend", "mujoco"], "not for mujoco"),
         (["--grasps", "0"], "grasps must be at least 1"),
