@@ -15,7 +15,7 @@ from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import ContactSensors, grasp_model
 from gmdx.trials.batch import RawTrials, TrialBatch
 from gmdx.trials.bullet_world import BulletConfig, BulletWorld
-from gmdx.trials.execute import Execution, stretch
+from gmdx.trials.execute import Execution, ModelLayout, stretch
 from gmdx.trials.frames import Stretch
 from gmdx.trials.protocol import TrialConfig
 
@@ -51,19 +51,11 @@ class BulletBackend:
         return _joined(found)
 
 
-class _Engine:
+class _Engine(ModelLayout):
     """One world that follows one trial; a start takes the place of the trial before it."""
 
     def __init__(self, world: BulletWorld) -> None:
-        self.world = world
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.world.scene.model.nq, self.world.scene.model.nv
-
-    @property
-    def finger_qpos(self) -> tuple[int, int]:
-        return self.world.scene.finger_qpos
+        self.world, self.scene = world, world.scene
 
     @property
     def sensors(self) -> ContactSensors:

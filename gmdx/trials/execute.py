@@ -13,7 +13,7 @@ import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
-from gmdx.scenes.build import HEIGHT_QPOS, OBJECT_QPOS, ContactSensors
+from gmdx.scenes.build import HEIGHT_QPOS, OBJECT_QPOS, ContactSensors, GraspModel
 from gmdx.trials import frames
 from gmdx.trials.batch import RawTrials, TrialBatch
 from gmdx.trials.frames import Digest, Stretch
@@ -64,6 +64,33 @@ class Engine(Protocol):
             count: Steps to run, at least 1; the same for trials of one batch.
         """
         ...
+
+
+class ModelLayout:
+    """The part of an `Engine` that follows from a compiled model: how states and sensors lie."""
+
+    scene: GraspModel
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers in qpos and in qvel."""
+        return self.scene.model.nq, self.scene.model.nv
+
+    @property
+    def finger_qpos(self) -> tuple[int, int]:
+        """Addresses of finger 0 and 1 in qpos."""
+        return self.scene.finger_qpos
+
+    @property
+    def sensors(self) -> ContactSensors:
+        """Where each contact sensor's numbers lie."""
+        return self.scene.sensors
+
+    @property
+    def sensor_count(self) -> int:
+        """How many numbers the sensors are."""
+        count: int = self.scene.model.nsensordata
+        return count
 
 
 _Observe = Callable[[Int[Array, "a"], Digest, Int[Array, "a"], slice], Bool[Array, "a"]]

@@ -17,9 +17,9 @@ import numpy as np
 from gmdx.arrays import Array, Float, Int
 from gmdx.devices import has_accelerator
 from gmdx.errors import DeviceMemoryError, UsageError
-from gmdx.scenes.build import ContactSensors, GraspModel, grasp_model
+from gmdx.scenes.build import GraspModel, grasp_model
 from gmdx.trials.batch import RawTrials, TrialBatch
-from gmdx.trials.execute import Execution
+from gmdx.trials.execute import Execution, ModelLayout
 from gmdx.trials.frames import Stretch, joined
 from gmdx.trials.protocol import TrialConfig
 
@@ -202,7 +202,7 @@ class _Group:
         return np.repeat(self.positions, [len(batches[number]) for number in self.numbers])
 
 
-class _Engine:
+class _Engine(ModelLayout):
     """Cuts trials into batches that fit, and puts the results together."""
 
     def __init__(
@@ -213,25 +213,9 @@ class _Engine:
         config: TrialConfig,
     ) -> None:
         self.backend, self.models, self.index, self.config = backend, models, index, config
+        self.scene = models[0]  # all lie alike
         self.capacity = _capacity(backend, models, len(index))
         self.worlds = self._open()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.models[0].model.nq, self.models[0].model.nv
-
-    @property
-    def finger_qpos(self) -> tuple[int, int]:
-        return self.models[0].finger_qpos
-
-    @property
-    def sensors(self) -> ContactSensors:
-        return self.models[0].sensors
-
-    @property
-    def sensor_count(self) -> int:
-        count: int = self.models[0].model.nsensordata
-        return count
 
     def step(
         self,

@@ -21,6 +21,7 @@ from gmdx.caches import keep_jax_compilations
 from gmdx.errors import DeviceMemoryError, UsageError
 from gmdx.scenes.build import HEIGHT_QPOS, GraspModel
 from gmdx.trials.frames import Digest, Stretch, joined
+from gmdx.trials.mjx import OBJECTS
 from gmdx.trials.mjx_jax_alike import check_alike
 from gmdx.trials.mjx_jax_chunk import Outcome, by_trial, compiled_chunk, on_each
 from gmdx.trials.mjx_jax_constraints import Shape
@@ -32,7 +33,6 @@ _T = TypeVar("_T")
 
 __all__ = ["JaxWorlds", "bucket", "device", "open_worlds", "suggested_capacity"]
 
-OBJECTS = 64  # room for objects side by side: their number is no reason to compile again
 _PIECE = 16  # trials of one call on a CPU, whatever the capacity: more at once are not faster
 _SMALLER = 8  # on an accelerator a second step is compiled for so much smaller batches
 _MOST_PAIRS = {2: 16, 8: 20, 16: 24, 32: 28, 64: 32, 128: 40}  # by hulls

@@ -12,6 +12,9 @@ from gmdx.trials.mjx_jax_hulls import Hulls
 from gmdx.trials.mjx_jax_manifold import APART, CONTACTS_A_PAIR, Manifold
 from gmdx.trials.mjx_jax_narrow import box_hull, hull_in_box, turn
 
+_TABLE_CONTACTS = 8  # of the gripper
+_AROUND = 2 * np.pi * np.arange(_TABLE_CONTACTS - 1) / (_TABLE_CONTACTS - 1)
+
 
 class Boxes(NamedTuple):
     """Boxes of the gripper in the world."""
@@ -116,10 +119,6 @@ def hull_table_contacts(
     counts = (jnp.arange(4) == 0) | (points[..., 2] <= middle[:, None, 2])
     there = hulls.used[number][:, None] & counts & ~again & (points[..., 2] < 0)
     return _on_table(points.reshape(-1, 3), there.ravel())
-
-
-TABLE_CONTACTS = 8
-_AROUND = 2 * np.pi * np.arange(TABLE_CONTACTS - 1) / (TABLE_CONTACTS - 1)
 
 
 def table_contacts(points: Float[Array, "n 3"]) -> tuple[Manifold, Array]:

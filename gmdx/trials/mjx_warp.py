@@ -4,7 +4,6 @@ MuJoCo Warp computes in single precision, and stops its solver at a tolerance of
 """
 
 import importlib.metadata
-import logging
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,8 +18,6 @@ from gmdx.trials.mjx_warp_device import LANES, DeviceWorlds
 from gmdx.trials.mjx_warp_library import build_library, largest_mesh, slots_for
 from gmdx.trials.mjx_warp_log import listen
 from gmdx.trials.protocol import TrialConfig
-
-_LOG = logging.getLogger("gmdx")
 
 CONTACTS = 12  # of a trial on average: room to begin with, as most trials need fewer
 CONTACT_LIMIT = 128  # of one trial: one that has more has overflowed

@@ -12,10 +12,10 @@ import numpy as np
 from mujoco import rollout
 
 from gmdx.arrays import Array, Float, Int
-from gmdx.scenes.build import ContactSensors, GraspModel, grasp_model
+from gmdx.scenes.build import GraspModel, grasp_model
 from gmdx.scenes.engine import quiet_warnings
 from gmdx.trials.batch import RawTrials, TrialBatch
-from gmdx.trials.execute import Execution, stretch
+from gmdx.trials.execute import Execution, ModelLayout, stretch
 from gmdx.trials.frames import Stretch
 from gmdx.trials.protocol import TrialConfig
 
@@ -43,29 +43,12 @@ class MujocoBackend:
         return found
 
 
-class _Engine:
+class _Engine(ModelLayout):
     """Rollouts of one model; a rollout freezes at MuJoCo's first warning."""
 
     def __init__(self, scene: GraspModel, pool: rollout.Rollout, threads: int) -> None:
         self.scene, self.pool = scene, pool
         self.data = [mujoco.MjData(scene.model) for _ in range(threads)]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.scene.model.nq, self.scene.model.nv
-
-    @property
-    def finger_qpos(self) -> tuple[int, int]:
-        return self.scene.finger_qpos
-
-    @property
-    def sensors(self) -> ContactSensors:
-        return self.scene.sensors
-
-    @property
-    def sensor_count(self) -> int:
-        count: int = self.scene.model.nsensordata
-        return count
 
     def step(
         self,
