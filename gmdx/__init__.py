@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from gmdx.errors import GmdxError
     from gmdx.grasps.grasp import PadContacts, PlanarGrasp
     from gmdx.grasps.sample import SampleConfig, sample_grasps
-    from gmdx.metrics.batch import EpsilonBatch, epsilon_batch
     from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
-    from gmdx.metrics.epsilon import Epsilon, epsilon
+    from gmdx.metrics.epsilon.certified import Epsilon, epsilon
+    from gmdx.metrics.epsilon.many import EpsilonBatch, epsilon_batch
+    from gmdx.metrics.epsilon.strength import Strength, directional_strength, gravity_wrench
     from gmdx.metrics.quality import Evidence, QualityConfig, Tally
-    from gmdx.metrics.strength import Strength, directional_strength, gravity_wrench
     from gmdx.metrics.table import METRIC_NAMES, METRICS, Metric
     from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
     from gmdx.objects.prepare import PrepareConfig, load_object
-    from gmdx.pipeline import GenerateConfig, Progress, Summary, generate
+    from gmdx.pipeline.generate import GenerateConfig, Progress, Summary, generate
     from gmdx.scenes.camera import CameraConfig, DepthImage, render
     from gmdx.scenes.gripper import Gripper, load_gripper
     from gmdx.scenes.scene import Scene
@@ -87,15 +87,15 @@ _MODULES = {
     "gmdx.errors": ("GmdxError",),
     "gmdx.grasps.grasp": ("PadContacts", "PlanarGrasp"),
     "gmdx.grasps.sample": ("SampleConfig", "sample_grasps"),
-    "gmdx.metrics.batch": ("EpsilonBatch", "epsilon_batch"),
+    "gmdx.metrics.epsilon.many": ("EpsilonBatch", "epsilon_batch"),
     "gmdx.metrics.compute": ("MetricConfig", "MetricTable", "compute_metrics"),
-    "gmdx.metrics.epsilon": ("Epsilon", "epsilon"),
+    "gmdx.metrics.epsilon.certified": ("Epsilon", "epsilon"),
     "gmdx.metrics.quality": ("Evidence", "QualityConfig", "Tally"),
-    "gmdx.metrics.strength": ("Strength", "directional_strength", "gravity_wrench"),
+    "gmdx.metrics.epsilon.strength": ("Strength", "directional_strength", "gravity_wrench"),
     "gmdx.metrics.table": ("METRICS", "METRIC_NAMES", "Metric"),
     "gmdx.objects.model": ("ObjectModel", "OrientedBox", "StablePoses"),
     "gmdx.objects.prepare": ("PrepareConfig", "load_object"),
-    "gmdx.pipeline": ("GenerateConfig", "Progress", "Summary", "generate"),
+    "gmdx.pipeline.generate": ("GenerateConfig", "Progress", "Summary", "generate"),
     "gmdx.scenes.camera": ("CameraConfig", "DepthImage", "render"),
     "gmdx.scenes.gripper": ("Gripper", "load_gripper"),
     "gmdx.scenes.scene": ("Scene",),

@@ -2,7 +2,7 @@
 
 import sys
 
-from gmdx.cli import main
+from gmdx.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from gmdx.dataset import schema
-from gmdx.pipeline import GenerateConfig
+from gmdx.pipeline.generate import GenerateConfig
 
 FILES = {
     schema.OBJECT_FILE, schema.MESH_FILE, schema.HULLS_FILE, schema.SCENES_FILE,

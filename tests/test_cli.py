@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from gmdx.cli import Generate, main
+from gmdx.cli.main import Generate, main
+from gmdx.cli.terminal import interrupts_kept
 from gmdx.dataset.store import PARTIAL
 from gmdx.metrics.table import METRICS
-from gmdx.pipeline import GenerateConfig
-from gmdx.terminal import interrupts_kept
+from gmdx.pipeline.generate import GenerateConfig
 from tests.runs import (
     FLAGS,
     Command,

@@ -9,7 +9,7 @@ import pytest
 
 from gmdx.config import as_dict, as_toml, differences, load_toml, merge
 from gmdx.errors import ConfigError
-from gmdx.pipeline import GenerateConfig
+from gmdx.pipeline.generate import GenerateConfig
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gmdx.dataset.store import PARTIAL
-from gmdx.pipeline import generate
+from gmdx.pipeline.generate import generate
 from tests.runs import (
     FLAGS,
     Command,

@@ -10,10 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gmdx.dataset import schema
-from gmdx.dataset.files import read_json, read_npz, read_ply
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import read_failures
 from gmdx.errors import DatasetError, UsageError
+from gmdx.files.formats import read_json, read_npz, read_ply
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses

@@ -15,9 +15,9 @@ from typing import Any
 
 from gmdx.config import differences
 from gmdx.dataset import schema
-from gmdx.dataset.files import json_text, read_json, sync_folder, write_text
 from gmdx.dataset.schema import Failure
 from gmdx.errors import DatasetError, UsageError
+from gmdx.files.formats import json_text, read_json, sync_folder, write_text
 
 _log = logging.getLogger("gmdx")
 

@@ -13,10 +13,10 @@ import pyarrow.parquet as pq
 
 from gmdx.arrays import Array
 from gmdx.dataset import schema
-from gmdx.dataset.files import json_text, sync_folder, write_npz, write_ply, write_text
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import writing
 from gmdx.errors import DatasetError
+from gmdx.files.formats import json_text, sync_folder, write_npz, write_ply, write_text
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence
 from gmdx.objects.model import ObjectModel

@@ -7,7 +7,7 @@ import numpy as np
 from gmdx_kernels.closing_lines import closing_lines
 
 from gmdx.arrays import Array, Float, Int
-from gmdx.grasps.surface import Surface, random_points
+from gmdx.objects.surface import Surface, random_points
 
 _BLOCK = 128  # candidates looked at together: only a matter of speed
 _ONE_LINE = np.zeros((1, 2))

@@ -6,14 +6,10 @@ import numpy as np
 from gmdx.arrays import Array, Bool, Float
 from gmdx.geometry import quaternion_matrix, quaternion_multiply, yaw_quaternion
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.scenes.build import (
-    HEIGHT_QPOS,
-    OBJECT_QPOS,
-    GraspModel,
-    PhysicsConfig,
-    grasp_model,
-)
+from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import Gripper
+from gmdx.scenes.layout import HEIGHT_QPOS, OBJECT_QPOS, GraspModel
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from gmdx_kernels.closing_lines import IMPLEMENTATIONS, FirstTouch, closing_lines, pad_grid
 
 from gmdx.arrays import Array, Float
-from gmdx.devices import check_implementation, implementation
 from gmdx.errors import ConfigError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
-from gmdx.grasps.surface import surface_of
+from gmdx.machine.devices import check_implementation, implementation
+from gmdx.objects.surface import surface_of
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from gmdx.arrays import Array, Float
-from gmdx.scenes.build import HEIGHT_QPOS, GraspModel
+from gmdx.scenes.layout import HEIGHT_QPOS, GraspModel
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,12 @@ from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import LineConfig, closing_contacts
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.hand import HandShape, hand_shape
-from gmdx.grasps.surface import Surface, random_points, surface_of
+from gmdx.objects.surface import Surface, random_points, surface_of
 from gmdx.rng import generator
-from gmdx.scenes.build import GraspModel, PhysicsConfig, grasp_model
+from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import Gripper, load_gripper
+from gmdx.scenes.layout import GraspModel
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 SAMPLERS = ("dense", "antipodal")

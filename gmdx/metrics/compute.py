@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.devices import on_device
 from gmdx.errors import MetricError
 from gmdx.geometry import axis_angle_between, quaternion_matrix, rotation_angle
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import LineConfig, closing_contacts
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
+from gmdx.machine.devices import on_device
 from gmdx.metrics.quality import Evidence, PadSet, QualityConfig, audit_sample, pad_qualities
 from gmdx.metrics.table import METRIC_NAMES
 from gmdx.objects.model import ObjectModel

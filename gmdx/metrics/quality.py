@@ -8,13 +8,13 @@ import numpy as np
 from gmdx_kernels.epsilon import IMPLEMENTATIONS
 
 from gmdx.arrays import Array, Bool, Float, Int
-from gmdx.devices import check_implementation, implementation
 from gmdx.errors import ConfigError, MetricError
 from gmdx.grasps.grasp import PadContacts
-from gmdx.metrics._certify import NEAR_ZERO
-from gmdx.metrics.batch import epsilon_batch
-from gmdx.metrics.epsilon import check_effort, epsilon
-from gmdx.metrics.patch import essential_contacts
+from gmdx.machine.devices import check_implementation, implementation
+from gmdx.metrics.epsilon._certify import NEAR_ZERO
+from gmdx.metrics.epsilon.certified import check_effort, epsilon
+from gmdx.metrics.epsilon.many import epsilon_batch
+from gmdx.metrics.epsilon.patch import essential_contacts
 from gmdx.objects.model import ObjectModel
 from gmdx.rng import generator
 from gmdx.scenes.scene import Scene

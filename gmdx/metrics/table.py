@@ -139,3 +139,6 @@ METRICS: tuple[Metric, ...] = tuple(
 )  # fmt: skip
 
 METRIC_NAMES: tuple[str, ...] = tuple(metric.name for metric in METRICS)
+
+
+COMPARED = tuple(metric for metric in METRICS if metric.kind != "priori")

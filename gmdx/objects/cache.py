@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gmdx.objects.catalog import ObjectSource
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
+from gmdx.objects.sources.source import ObjectSource
 
 _PACKAGES = ("coacd", "fast-simplification", "manifold3d", "numpy", "scipy", "trimesh")
-_NOT_PREPARATION = frozenset({"cache.py", "catalog.py", "report.py"})
+_NOT_PREPARATION = frozenset({"cache.py", "report.py", "sources"})  # of gmdx.objects
 _GROUND_FLOOR = ("arrays.py", "geometry.py", "rng.py")  # that preparation builds on
 _log = logging.getLogger("gmdx")
 
@@ -38,10 +38,14 @@ def code_version() -> str:
     """Hash of the modules that prepare objects, and of the versions of what they build on."""
     digest = hashlib.sha256()
     folder = Path(__file__).parent
-    own = (m for m in folder.glob("*.py") if m.name not in _NOT_PREPARATION)
-    ground = (folder.parent / name for name in _GROUND_FLOOR)
+    own = [
+        module
+        for module in folder.rglob("*.py")
+        if module.relative_to(folder).parts[0] not in _NOT_PREPARATION
+    ]
+    ground = [folder.parent / name for name in _GROUND_FLOOR]
     for module in sorted([*own, *ground]):
-        digest.update(module.name.encode() + module.read_bytes())
+        digest.update(module.relative_to(folder.parent).as_posix().encode() + module.read_bytes())
     for package in _PACKAGES:
         digest.update(f"{package}=={importlib.metadata.version(package)}\n".encode())
     return digest.hexdigest()

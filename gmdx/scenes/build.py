@@ -5,94 +5,18 @@ and the object is placed where the grasp wants it. The table is the plane z = 0 
 So one model serves every grasp on an object, and a turn of the world changes nothing.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from gmdx.errors import ConfigError
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.gripper import Gripper
-
-GRAVITY = 9.81  # m/s^2
-OBJECT = "object"
-TABLE = "table"
-MOUNT = "mount"
-PREFIX = "gripper/"
-OBJECT_QPOS, OBJECT_QVEL = slice(0, 7), slice(0, 6)
-HEIGHT_QPOS, HEIGHT_QVEL = 7, 6
-PAD_SLOTS = 12  # contacts kept for each pad
-SLOT_SIZE = 11  # numbers in a pad's slot
+from gmdx.scenes.layout import MOUNT, OBJECT, PAD_SLOTS, PREFIX, TABLE, ContactSensors, GraspModel
+from gmdx.scenes.physics import GRAVITY, PhysicsConfig
 
 # (contype & other's conaffinity) decides who touches whom: the gripper never touches itself.
 _TABLE_AFFINITY, _OBJECT_TYPE, _GRIPPER_TYPE = 3, 2, 1
-
-
-@dataclass(frozen=True)
-class PhysicsConfig:
-    """How contacts and steps are computed; the closed forms in the tests hold at the defaults."""
-
-    timestep: float = 0.004  # s
-    cone: str = "elliptic"  # of friction; pyramids are refused, see `__post_init__`
-    impratio: float = 10.0  # stiffness of friction over that of the normal: small lets grips creep
-    torsion_radius: float = 0.005  # m, of a contact patch: torsional coefficient = 2/3 mu radius
-    solref: tuple[float, float] = (0.01, 1.0)  # s, damping ratio, of contacts
-    solimp: tuple[float, float, float] = (0.99, 0.999, 0.001)  # of contacts: 0.1 mm deep at 20 N
-    iterations: int = 50
-    ls_iterations: int = 30
-    tolerance: float = (
-        1e-12  # MuJoCo's own 1e-8 lets a light box slide on a slope it should stick to
-    )
-    drive_frequency: float = 150.0  # rad/s, of the servo that moves the gripper up and down
-    drive_force: float = 300.0  # N, that servo's limit
-    closing_speed: float = 0.15  # m/s, of each finger while nothing resists it
-    closing_acceleration: float = 30.0  # m/s^2, of a free finger: sets the drive's inertia
-    memory: int = 2**24  # bytes for contacts and constraints; a trial that needs more fails by name
-
-    def __post_init__(self) -> None:
-        if self.cone == "pyramidal":
-            raise ConfigError(
-                "physics: pyramidal friction cones are refused: forces between the edges of the "
-                "pyramid are too small (a 0.5 kg box held by two pads came out at 0.81 of the "
-                "closed form when pushed sideways, in C MuJoCo and in Warp alike); use elliptic"
-            )
-        if self.cone != "elliptic":
-            raise ConfigError(f"physics: unknown cone {self.cone!r}; give elliptic")
-        for name, value in vars(self).items():
-            if name != "cone" and not np.all(np.asarray(value) > 0):
-                raise ConfigError(f"physics: {name} must be positive, got {value}")
-
-
-@dataclass(frozen=True)
-class GraspModel:
-    """A compiled gripper, object and table, in the gripper's frame.
-
-    The state's qpos is the object's position (3) and quaternion (4), the height of the tool
-    point, and the two fingers; `ctrl` is the tool height (m), its speed (m/s), and the speed
-    at which the opening closes (m/s).
-    """
-
-    model: mujoco.MjModel
-    gripper: Gripper
-    finger_qpos: tuple[int, int]  # addresses of finger 0 and 1 in qpos
-    object_body: int
-    sensors: "ContactSensors"
-
-
-@dataclass(frozen=True)
-class ContactSensors:
-    """Where each contact sensor's numbers lie in `sensordata`.
-
-    Pads report slots of (found, force (3), distance, position (3), normal (3)), strongest
-    first, `found` being the number of all contacts of that pair; the others report `found`.
-    """
-
-    pads: tuple[slice, slice]  # each pad with the object; normals point into the object
-    hand: int  # any part of the gripper with the object, pads included
-    hand_table: int  # any part of the gripper with the table
-    object_table: int
-    slots: int = PAD_SLOTS
 
 
 def table_and_object(obj: ObjectModel, physics: PhysicsConfig) -> mujoco.MjSpec:

@@ -11,9 +11,10 @@ from gmdx.errors import ConfigError, SceneError
 from gmdx.geometry import quaternion_matrix, random_quaternion
 from gmdx.objects.model import ObjectModel
 from gmdx.rng import generator
-from gmdx.scenes.build import GRAVITY, PhysicsConfig, scene_model
-from gmdx.scenes.engine import quiet_warnings
+from gmdx.scenes.build import scene_model
+from gmdx.scenes.physics import GRAVITY, PhysicsConfig
 from gmdx.scenes.scene import Scene
+from gmdx.scenes.warnings import quiet_warnings
 
 _LOOK = 10  # steps between two looks at whether the object is calm, or lost
 

@@ -7,93 +7,21 @@ decided here alone, from states and contacts: engines differ in nothing but how 
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
-from gmdx.scenes.build import HEIGHT_QPOS, OBJECT_QPOS, ContactSensors, GraspModel
-from gmdx.trials import frames
-from gmdx.trials.batch import RawTrials, TrialBatch
-from gmdx.trials.frames import Digest, Stretch
+from gmdx.scenes.layout import HEIGHT_QPOS, OBJECT_QPOS
+from gmdx.trials import observations
+from gmdx.trials.engines.engine import Engine
+from gmdx.trials.observations import ChunkResult, ObservedSteps
 from gmdx.trials.outcome import Outcome
+from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import Phase, Schedule, TrialConfig
 from gmdx.trials.results import Snapshot
 
-
-@runtime_checkable
-class Engine(Protocol):
-    """What steps trials. States are time, qpos and qvel, laid out as in `GraspModel`."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Numbers in qpos and in qvel."""
-        ...
-
-    @property
-    def finger_qpos(self) -> tuple[int, int]:
-        """Addresses of finger 0 and 1 in qpos."""
-        ...
-
-    @property
-    def sensors(self) -> ContactSensors:
-        """Where each contact sensor's numbers lie."""
-        ...
-
-    @property
-    def sensor_count(self) -> int:
-        """How many numbers the sensors are."""
-        ...
-
-    def step(
-        self,
-        rows: Int[Array, "a"],
-        state: Float[Array, "a n"],
-        control: Float[Array, "a s 3"],
-        force: Float[Array, "s 3"],
-        count: Int[Array, "a"],
-    ) -> Stretch:
-        """Run each trial for its number of steps, at most s.
-
-        Args:
-            rows: Which trials of the batches these are.
-            state: A time of 0 is a trial's start.
-            control: As of `Phase.controls`; of no meaning after a trial's last step.
-            force: N, on the object's centre of mass.
-            count: Steps to run, at least 1; the same for trials of one batch.
-        """
-        ...
-
-
-class ModelLayout:
-    """The part of an `Engine` that follows from a compiled model: how states and sensors lie."""
-
-    scene: GraspModel
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Numbers in qpos and in qvel."""
-        return self.scene.model.nq, self.scene.model.nv
-
-    @property
-    def finger_qpos(self) -> tuple[int, int]:
-        """Addresses of finger 0 and 1 in qpos."""
-        return self.scene.finger_qpos
-
-    @property
-    def sensors(self) -> ContactSensors:
-        """Where each contact sensor's numbers lie."""
-        return self.scene.sensors
-
-    @property
-    def sensor_count(self) -> int:
-        """How many numbers the sensors are."""
-        count: int = self.scene.model.nsensordata
-        return count
-
-
-_Observe = Callable[[Int[Array, "a"], Digest, Int[Array, "a"], slice], Bool[Array, "a"]]
+_Observe = Callable[[Int[Array, "a"], ObservedSteps, Int[Array, "a"], slice], Bool[Array, "a"]]
 
 
 class Execution:
@@ -180,7 +108,7 @@ class Execution:
         self._snapshot(Snapshot.START)
 
     def _watch_approach(
-        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+        self, rows: Int[Array, "a"], steps: ObservedSteps, count: Int[Array, "a"], _: slice
     ) -> Bool[Array, "a"]:
         """A touch by anything but a pad's face ends the trial."""
         collided = _any(steps.collides, count)
@@ -189,22 +117,22 @@ class Execution:
         return collided
 
     def _watch_closing(
-        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+        self, rows: Int[Array, "a"], steps: ObservedSteps, count: Int[Array, "a"], _: slice
     ) -> Bool[Array, "a"]:
         """The phase ends early where neither fingers nor object move any more."""
         self.touched[rows] |= _any(steps.touches, count)
         return self._still(rows)
 
     def _watch_lift(
-        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], _: slice
+        self, rows: Int[Array, "a"], steps: ObservedSteps, count: Int[Array, "a"], _: slice
     ) -> Bool[Array, "a"]:
         """An object that no pad touches any more will not come back."""
-        lost = frames.lets_go(steps, count)
+        lost = observations.lets_go(steps, count)
         self.outcome[rows[lost]] = Outcome.LOST_IN_LIFT
         return lost
 
     def _watch_hold(
-        self, rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], span: slice
+        self, rows: Int[Array, "a"], steps: ObservedSteps, count: Int[Array, "a"], span: slice
     ) -> Bool[Array, "a"]:
         return self._watch_lift(rows, steps, count, span) | self._still(rows)
 
@@ -215,7 +143,7 @@ class Execution:
         self.opening[alive] = self.batches[0].gripper.opening(fingers)
         # Sensors belong to the start of their step, so they go with the pose before it.
         pose = self.qpos_at_sensors[alive, OBJECT_QPOS]
-        contacts = frames.pad_contacts(self.sensors[alive], pose, self.layout)
+        contacts = observations.pad_contacts(self.sensors[alive], pose, self.layout)
         self.points[alive], self.normals[alive] = contacts.points, contacts.normals
         self.valid[alive] = contacts.valid
         missed = alive[~contacts.both]
@@ -229,7 +157,7 @@ class Execution:
         held = (
             (rise >= self.config.risen * self.config.lift_height)
             & (self.sensors[:, self.layout.object_table] == 0)
-            & np.all(frames.pads_press(self.sensors, self.layout), axis=1)
+            & np.all(observations.pads_press(self.sensors, self.layout), axis=1)
         )
         self.outcome[alive & held] = Outcome.SUCCESS
         self.outcome[alive & ~held] = Outcome.LOST_IN_LIFT
@@ -245,15 +173,15 @@ class Execution:
             return component
 
         strength = along(phases[0].force)
-        offset = along(frames.from_tool(self.state[:, 1 : 1 + self.nq]))
+        offset = along(observations.from_tool(self.state[:, 1 : 1 + self.nq]))
 
         dt = self.config.physics.timestep
         last_velocity = along(self.state[:, 1 + self.nq :][:, :3])
 
         def watch(
-            rows: Int[Array, "a"], steps: Digest, count: Int[Array, "a"], span: slice
+            rows: Int[Array, "a"], steps: ObservedSteps, count: Int[Array, "a"], span: slice
         ) -> Bool[Array, "a"]:
-            ran = frames.within(count, steps.rise.shape[1])
+            ran = observations.within(count, steps.rise.shape[1])
             moved = along(steps.offset) - offset[rows, None]
             velocity = along(steps.velocity)
             slip = velocity - steps.rise * direction[2]
@@ -264,7 +192,7 @@ class Execution:
             change = np.diff(velocity, axis=1, prepend=last_velocity[rows, None])
             bore = strength[span] - self.mass[rows, None] * change / dt
             last_velocity[rows] = velocity[np.arange(len(rows)), count - 1]
-            held = frames.within(first, out.shape[1]) & (slip <= self.config.slip_speed)
+            held = observations.within(first, out.shape[1]) & (slip <= self.config.slip_speed)
             last = held.shape[1] - 1 - held[:, ::-1].argmax(axis=1)
             some = held.any(axis=1)
             self.held_force[rows[some]] = bore[some, last[some]].clip(min=0.0)
@@ -304,7 +232,7 @@ class Execution:
             span = slice(start, start + int(count.max()))
             found = self._step(rows, phases, span, count)
             steps = found.steps
-            ran = frames.within(count, steps.speed.shape[1])
+            ran = observations.within(count, steps.speed.shape[1])
             wild = found.failed | ~np.all((steps.speed < fastest) | ~ran, axis=1)
             sane = ~wild & ~found.overflowed
             overflowed.append(rows[found.overflowed])
@@ -326,7 +254,7 @@ class Execution:
 
     def _step(
         self, rows: Int[Array, "a"], phases: Sequence[Phase], span: slice, count: Int[Array, "a"]
-    ) -> Stretch:
+    ) -> ChunkResult:
         """One call of the engine, each trial with its own batch's controls."""
         width = span.stop - span.start
         control = np.zeros((len(rows), width, 3))
@@ -359,7 +287,7 @@ class Execution:
 
     def _still(self, rows: Int[Array, "a"]) -> Bool[Array, "a"]:
         qvel = self.state[rows, 1 + self.nq :]
-        return frames.still(qvel, speed=self.config.still_speed, spin=self.config.still_spin)
+        return observations.still(qvel, speed=self.config.still_speed, spin=self.config.still_spin)
 
 
 def _joined(batches: Sequence[TrialBatch], name: str) -> Array:
@@ -369,36 +297,5 @@ def _joined(batches: Sequence[TrialBatch], name: str) -> Array:
 
 def _any(flags: Bool[Array, "n s"], count: Int[Array, "n"]) -> Bool[Array, "n"]:
     """Whether a flag was up in any step that a trial was to run."""
-    up: Array = np.any(flags & frames.within(count, flags.shape[1]), axis=1)
+    up: Array = np.any(flags & observations.within(count, flags.shape[1]), axis=1)
     return up
-
-
-def stretch(
-    start: Float[Array, "n d"],
-    states: Float[Array, "n s d"],
-    sensors: Float[Array, "n s k"],
-    engine: Engine,
-    timestep: float,
-) -> Stretch:
-    """What an engine that keeps every step hands back, all of its trials having run all steps.
-
-    Args:
-        start: The states before the first step.
-        states: After each step; an engine's clock stops where it fails.
-        sensors: At the start of each step.
-        engine: For the layout of both.
-        timestep: s.
-    """
-    nq, steps = engine.size[0], states.shape[1]
-    before = states[:, -2] if steps > 1 else start
-    elapsed = states[:, -1, 0] - start[:, 0]
-    return Stretch(
-        state=states[:, -1],
-        qpos_at_sensors=before[:, 1 : 1 + nq],
-        sensors=sensors[:, -1],
-        failed=~(elapsed > (steps - 0.5) * timestep),
-        overflowed=np.zeros(len(states), bool),
-        steps=frames.digest(
-            states[..., 1 : 1 + nq], states[..., 1 + nq :], sensors, engine.sensors
-        ),
-    )

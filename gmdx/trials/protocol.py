@@ -11,7 +11,7 @@ import numpy as np
 
 from gmdx.arrays import Array, Float
 from gmdx.errors import ConfigError
-from gmdx.scenes.build import PhysicsConfig
+from gmdx.scenes.physics import PhysicsConfig
 
 
 @dataclass(frozen=True)

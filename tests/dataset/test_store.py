@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gmdx.dataset import files, schema, store, write
+from gmdx.dataset import schema, store, write
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import PARTIAL, DatasetStore, OutputError, StorageError, read_failures
 from gmdx.errors import DatasetError
+from gmdx.files import formats as files
 from tests.dataset.hand_built import (
     HEADER,
     columns_of,

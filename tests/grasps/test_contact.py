@@ -6,10 +6,10 @@ import pytest
 import trimesh
 from gmdx_kernels.closing_lines import IMPLEMENTATIONS
 
-from gmdx.devices import accelerator
 from gmdx.errors import ConfigError
 from gmdx.grasps.contact import LineConfig, closing_contacts
 from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.machine.devices import accelerator
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
 from tests.support import (

@@ -11,7 +11,7 @@ from gmdx.grasps.candidates import dense
 from gmdx.grasps.collide import collides
 from gmdx.grasps.contact import closing_contacts
 from gmdx.grasps.sample import SAMPLERS, SampleConfig, sample_grasps
-from gmdx.grasps.surface import random_points, surface_of
+from gmdx.objects.surface import random_points, surface_of
 from gmdx.scenes.gripper import load_gripper, shipped_grippers
 from gmdx.scenes.scene import Scene
 from tests.support import box_object, cylinder_object, mesh_object, resting_scene, sphere_object

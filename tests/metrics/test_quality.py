@@ -6,8 +6,8 @@ import pytest
 from gmdx.errors import ConfigError
 from gmdx.grasps.grasp import PadContacts
 from gmdx.metrics import quality
-from gmdx.metrics.batch import KERNEL, EpsilonBatch
-from gmdx.metrics.epsilon import epsilon
+from gmdx.metrics.epsilon.certified import epsilon
+from gmdx.metrics.epsilon.many import KERNEL, EpsilonBatch
 from gmdx.metrics.quality import Evidence, PadSet, QualityConfig, Tally, audit_sample, pad_qualities
 from tests.metrics.epsilon_grasps import pads, pair
 from tests.support import box_object, resting_scene

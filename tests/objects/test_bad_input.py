@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from gmdx.errors import MeshError
-from gmdx.objects.mesh import as_trimesh
 from gmdx.objects.prepare import load_object
-from gmdx.objects.solid import misfit
+from gmdx.objects.repair.read import as_trimesh
+from gmdx.objects.repair.solid import misfit
 
 
 def refused(path: Path, message: str) -> None:

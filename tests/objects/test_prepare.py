@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from gmdx.caches import cache_folder
 from gmdx.errors import ConfigError, GmdxError, MeshError
 from gmdx.geometry import quaternion_matrix
-from gmdx.objects.catalog import resolve
+from gmdx.machine.caches import cache_folder
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import PrepareConfig, load_object, prepare
 from gmdx.objects.report import describe
+from gmdx.objects.sources.resolve import resolve
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "objects"
 

@@ -16,7 +16,8 @@ from gmdx.geometry import quaternion_matrix, random_quaternion, rotation_angle
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import load_object
 from gmdx.rng import generator
-from gmdx.scenes.build import PhysicsConfig, scene_model
+from gmdx.scenes.build import scene_model
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 from gmdx.scenes.settle import Fall, SettleConfig, lowest_points, settle
 from tests.support import box_object, cylinder_object, mesh_object, sphere_object

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gmdx_kernels.closing_lines import IMPLEMENTATIONS
 
-from gmdx.cli import main
+from gmdx.cli.main import main
 from gmdx.dataset.read import read_dataset
-from gmdx.pipeline import generate
+from gmdx.pipeline.generate import generate
 from gmdx.studies.throughput import (
     peak_megabytes,
     pipeline_figures,

@@ -7,7 +7,7 @@ import pytest
 
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.scenes.build import PhysicsConfig
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import Snapshot

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.scenes.build import PhysicsConfig, grasp_model, table_and_object
+from gmdx.scenes.build import grasp_model, table_and_object
 from gmdx.scenes.gripper import load_gripper, shipped_grippers
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import Snapshot

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gmdx.metrics.epsilon import epsilon
+from gmdx.metrics.epsilon.certified import epsilon
 from gmdx_kernels.epsilon import IMPLEMENTATIONS, PairEpsilon, pair_epsilon
 from gmdx_kernels.epsilon.cases import PairBatch, batch, joined, known_pairs, mixture
 from gmdx_kernels.epsilon.frame import pairs_in_line

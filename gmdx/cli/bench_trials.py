@@ -1,0 +1,208 @@
+"""The command `gmdx bench trials`: the speed of engines on the same trials."""
+
+import contextlib
+import dataclasses
+import json
+import math
+import textwrap
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.box import SIMPLE_HEAVY
+from rich.table import Table
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from gmdx.cli.bench import numbers
+from gmdx.cli.terminal import console, following, interrupts_kept, say
+
+if TYPE_CHECKING:
+    from gmdx.scenes.scene import Scene
+    from gmdx.studies.engines.machine import Machine
+    from gmdx.studies.engines.runs import RunFailure, RunProgress
+    from gmdx.studies.engines.speed import TrialFigures, TrialSpeed
+
+DONE, ENGINE_FAILED = 0, 1
+
+Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")]
+GripperName = Annotated[str, arg(metavar="NAME|FILE")]
+Names = Annotated[str, arg(metavar="NAME,NAME,...")]
+_Sizes = Annotated[
+    str, arg(metavar="N,N,...", help_behavior_hint="(default: by the device's memory)")
+]
+Json = FlagCreatePairsOff[bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trials:
+    """Trials and steps a second of every engine, on the same trials of all objects in one run.
+
+    Each engine runs twice: the first run also compiles, the second is timed. All rates are by the
+    clock on the wall, since work on a device takes no processor time: let nothing else run
+    meanwhile. The processor time that the host spent beside stands in its own column; for MuJoCo
+    on one thread it is what the clock would show on an idle machine.
+
+    A trial is about 200 steps. MuJoCo takes about 30 microseconds a step on one core, Warp about 2
+    milliseconds where it has no device but the CPU, and JAX more: ask for few grasps there.
+    """
+
+    objects: Objects = ("bundled",)
+    """what to grasp"""
+    backend: Names = "mujoco"
+    """mujoco, mjx-warp, mjx-jax, bullet; the last column compares each with the first"""
+    batch_size: _Sizes = ""
+    """trials side by side on MJX, a row each"""
+    grasps: int = 16
+    """grasps per object: take enough to fill the largest batch several times"""
+    trials: int = 5
+    """trials per grasp"""
+    threads: int = 1
+    """of MuJoCo on the CPU: as many as there are cores, to compare a device with all of them"""
+    gripper: GripperName = "parallel_jaw"
+    """a shipped gripper, or the description of your own"""
+    json: Json = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Run every engine, and show what it took."""
+        with interrupts_kept():
+            from gmdx.scenes.gripper import load_gripper
+            from gmdx.studies.engines.runs import (
+                choose_all,
+                refuse_idle_sizes,
+                refuse_less_than_one,
+            )
+            from gmdx.studies.engines.speed import trial_figures
+            from gmdx.trials.protocol import TrialConfig
+
+        backends, gripper = names(self.backend), load_gripper(self.gripper)
+        sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else []
+        refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
+        refuse_idle_sizes(choose_all(backends), sizes)  # before any object is prepared
+        scenes = prepared_scenes(self.objects)
+        with showing_runs() as show:
+            speed = trial_figures(
+                scenes,
+                grasps=self.grasps,
+                gripper=gripper,
+                config=TrialConfig(trials=self.trials),
+                backends=backends,
+                batch_sizes=sizes,
+                threads=self.threads,
+                isolated=True,
+                on_progress=show,
+            )
+        if self.json:
+            rows = [_with_rates(row) for row in speed.figures]
+            say(json.dumps(dataclasses.asdict(speed) | {"figures": rows}, indent=1))
+        else:
+            show_speed(speed)
+        return ENGINE_FAILED if speed.failures else DONE
+
+
+def names(text: str) -> list[str]:
+    """`a, b` as names."""
+    return [word.strip() for word in text.split(",")]
+
+
+def prepared_scenes(objects: tuple[str, ...]) -> list["Scene"]:
+    """One scene of each object; what was prepared before comes from the user's cache."""
+    from gmdx.objects.prepare import prepare
+    from gmdx.objects.sources.resolve import resolve
+    from gmdx.pipeline.generate import Progress
+    from gmdx.scenes.settle import settle
+
+    sources = resolve(list(objects))
+    scenes = []
+    with following("objects") as show:
+        for source in sources:
+            scenes.append(settle(prepare(source)))
+            show(Progress(source.object_id, len(scenes), len(sources), len(scenes), ()))
+    return scenes
+
+
+@contextlib.contextmanager
+def showing_runs() -> Iterator[Callable[["RunProgress"], None]]:
+    """Progress of runs, on standard error."""
+    from gmdx.pipeline.generate import Progress
+
+    with following("trials", things="engines") as show:
+        yield lambda at: show(Progress(at.label, at.done, at.total, at.trials, ()))
+
+
+def _with_rates(row: "TrialFigures") -> dict[str, Any]:
+    """A row with what follows from it."""
+    rates = ("trials_per_second", "steps_per_second", "step_microseconds", "step_share")
+    return dataclasses.asdict(row) | {name: getattr(row, name) for name in rates}
+
+
+_SPEED_NOTES = """\
+us a step: on the clock, inside the engine's step, for one step of one trial
+host ms: processor time of this process for a trial, all threads together
+compiled: programs compiled in the first run + found on disk; in the timed run, which should be 0
+device MB: the most held on one device; each row has a process of its own"""
+
+
+def show_speed(speed: "TrialSpeed") -> None:
+    """One table of at most 100 columns, and what it ran on."""
+    title = f"gmdx bench trials ({len(speed.objects)} objects, {speed.grasps} grasps)"
+    table = Table(title=title, box=SIMPLE_HEAVY, collapse_padding=True, pad_edge=False)
+    table.add_column("backend", no_wrap=True)
+    columns = (
+        "batch", "trials\na second", "steps a\nsecond", "us a\nstep", "host\nms", "first\nrun s",
+        "compiled", "device\nMB", "suc-\ncess", "times\nfirst",
+    )  # fmt: skip
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in speed.figures:
+        table.add_row(
+            row.backend,
+            "" if row.batch_size is None else str(row.batch_size),
+            short(row.trials_per_second),
+            short(row.steps_per_second),
+            short(row.step_microseconds),
+            short(1e3 * row.processor_seconds / row.trials),
+            short(row.first_seconds),
+            "" if row.compiled is None else f"{row.compiled}+{row.cached}; {row.compiled_again}",
+            "" if row.device_bytes is None else short(row.device_bytes / 1e6),
+            f"{100 * row.success:.0f} %",
+            "" if row.ratio is None else short(row.ratio),
+        )
+    console().print(table)
+    say_failures(speed.failures)
+    for row in speed.figures:
+        if row.failed:
+            say(f"{row.backend}: {row.failed} of {row.trials} trials diverged or overflowed")
+        if row.batch_size is not None and row.trials < 2 * row.batch_size:
+            say(f"{row.backend} x {row.batch_size}: filled at most once by {row.trials} trials")
+    say(_SPEED_NOTES)
+    for name, engine in dict.fromkeys((row.backend, row.engine) for row in speed.figures):
+        threads = next(row.threads for row in speed.figures if row.backend == name)
+        used = "" if threads is None else f", {threads} thread{'s' if threads > 1 else ''}"
+        say(f"{name}: {engine}{used}")
+    say_machine(speed.machine)
+
+
+def say_failures(failures: tuple["RunFailure", ...]) -> None:
+    """Engines that failed, a line each."""
+    for failure in failures:
+        say(f"{failure.label} failed: {failure.error}")
+
+
+def say_machine(machine: "Machine") -> None:
+    """What the figures were measured on."""
+    versions = ", ".join(f"{name} {number}" for name, number in machine.packages.items())
+    say(f"{machine.processor}, {machine.cores} cores, {machine.system}; Python {machine.python}")
+    say(textwrap.fill(versions, width=100))
+
+
+def short(value: float) -> str:
+    """The digits that matter; large numbers in thousands or millions."""
+    if math.isnan(value):
+        return "-"
+    if value >= 1e7:
+        return f"{value / 1e6:,.0f} M"
+    if value >= 1e5:
+        return f"{value / 1e3:,.0f} k"
+    if value >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.3g}" if value >= 1 else f"{value:.2g}"

@@ -1,0 +1,1 @@
+"""Files and folders whose bytes depend on their content alone."""

@@ -1,0 +1,1 @@
+"""What the computer has, and how work is spread over it."""

@@ -1,0 +1,1 @@
+"""The epsilon quality, with proved bounds."""

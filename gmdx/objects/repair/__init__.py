@@ -1,0 +1,1 @@
+"""From the triangles in a file to a closed surface."""

@@ -1,0 +1,1 @@
+"""The stages in a row: objects in, an annotated dataset out."""

@@ -1,0 +1,224 @@
+"""Trials of several objects in one batch on a device, while the host works on other objects.
+
+The host's processes prepare objects and compute metrics; one thread keeps the device at work. Its
+batches are made of objects in the order in which they come, and no result depends on them.
+"""
+
+import contextlib
+import logging
+import queue
+import threading
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+from gmdx.errors import GmdxError
+from gmdx.machine.processes import LATER, Finished, Later, run_tasks
+from gmdx.pipeline.annotate import Begun, Ended, Task, Tried, begin, failure, finish, lost
+from gmdx.pipeline.config import GenerateConfig
+from gmdx.trials.engines.parallel import OBJECTS, Cancelled, MjxBackend
+from gmdx.trials.results import TrialResults
+from gmdx.trials.run import run_trials
+
+_LOG = logging.getLogger("gmdx")
+_PATIENCE = 30.0  # s, for the device's thread to end at its next look when a run is broken off
+
+
+def annotate_in_batches(
+    tasks: Iterator[Task], config: GenerateConfig, *, workers: int
+) -> Generator[Finished[Task, Ended], None, None]:
+    """Annotate objects, their trials on a device in batches across objects.
+
+    Args:
+        tasks: An object each.
+        config: Of the run, resolved.
+        workers: Processes for everything but the trials.
+    """
+    impl = config.chosen.impl
+    if impl is None:
+        raise ValueError(f"backend {config.backend} has no batches across objects")
+    device = _Device(MjxBackend(impl, batch_size=config.batch_size), config)
+    _LOG.info("trials run on %s", device.backend.version)
+    schedule = _Schedule(tasks, device)
+    # What is not known yet is no task that a worker sees.
+    stream = cast(Iterator[Task | Tried], schedule.next_tasks())
+    try:
+        with contextlib.closing(run_tasks(_on_host, stream, workers=workers)) as items:
+            for item in items:
+                ended = schedule.take(item)
+                if ended is not None:
+                    yield ended
+                yield from schedule.failed()
+        yield from schedule.failed()
+    finally:
+        device.close()
+
+
+def _on_host(task: Task | Tried) -> Begun | Ended:
+    """What a worker process does: everything before an object's trials, or everything after."""
+    return begin(task) if isinstance(task, Task) else finish(task)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Objects whose trials run together, and then what came of them."""
+
+    objects: Sequence[tuple[Task, Begun]]
+    results: Sequence[tuple[TrialResults, ...] | Exception] = ()
+
+
+class _Schedule:
+    """Which host work comes next, so that neither host nor device waits where it need not."""
+
+    def __init__(self, tasks: Iterator[Task], device: "_Device") -> None:
+        self._tasks, self._device = tasks, device
+        self._more = True  # tasks to begin
+        self._beginning = self._on_device = 0  # objects
+        self._ready: list[tuple[Task, Begun]] = []
+        self._tried: deque[Tried] = deque()
+        self._finishing = 0
+        self._failed: list[Finished[Task, Ended]] = []
+
+    def next_tasks(self) -> Iterator[Task | Tried | Later]:
+        """Finishing comes first, as it frees memory; then a batch is made while one is running."""
+        while True:
+            self._collect()
+            self._hand_over()
+            if self._tried:
+                self._finishing += 1
+                yield self._tried.popleft()
+                continue
+            if self._more and self._beginning + len(self._ready) < self._device.objects:
+                task = next(self._tasks, None)
+                self._more = task is not None
+                if task is not None:
+                    self._beginning += 1
+                    yield task
+                continue
+            if not (self._more or self._beginning or self._on_device or self._finishing):
+                return
+            yield LATER
+
+    def take(self, item: Finished[Task | Tried, Begun | Ended]) -> Finished[Task, Ended] | None:
+        """Note what a worker did; the end of an object, where it was that."""
+        if isinstance(item.task, Task):
+            self._beginning -= 1
+            if isinstance(item.result, Begun):
+                self._ready.append((item.task, item.result))
+                return None
+            return Finished(item.task, item.result)
+        self._finishing -= 1
+        if isinstance(item.result, Begun):
+            raise TypeError("an object was begun again instead of finished")
+        return Finished(item.task.task, item.result)
+
+    def failed(self) -> Iterator[Finished[Task, Ended]]:
+        """Objects whose trials could not be run."""
+        while self._failed:
+            yield self._failed.pop()
+
+    def _hand_over(self) -> None:
+        """Give the device what is ready, when it is a full batch or all that there will be."""
+        last = not self._more and not self._beginning
+        full = len(self._ready) >= self._device.objects
+        if self._ready and self._on_device == 0 and (full or last):
+            self._on_device = len(self._ready)
+            self._device.give(_Batch(self._ready))
+            self._ready = []
+
+    def _collect(self) -> None:
+        """Take finished batches from the device."""
+        batch = self._device.take()
+        if batch is None:
+            return
+        self._on_device -= len(batch.objects)
+        for (task, begun), result in zip(batch.objects, batch.results, strict=True):
+            if isinstance(result, Exception):
+                why = failure(task.source.object_id, None, "trials", result)
+                self._failed.append(Finished(task, lost(*begun.failures, why)))
+            else:
+                self._tried.append(Tried(task, begun, result))
+
+
+class _Device:
+    """A thread that runs one batch after the other."""
+
+    def __init__(self, backend: MjxBackend, config: GenerateConfig) -> None:
+        self.backend, self._config = backend, config
+        trials = config.scenes * config.grasps * config.trials
+        self.objects = min(max(1, -(-backend.wanted_trials // trials)), OBJECTS)  # a batch
+        self._given: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[_Batch | BaseException] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, name="gmdx trials", daemon=True)
+        self._thread.start()
+
+    def give(self, batch: _Batch) -> None:
+        """Queue a batch."""
+        self._given.put(batch)
+
+    def take(self) -> _Batch | None:
+        """A batch that is done, if there is one."""
+        try:
+            found = self._done.get_nowait()
+        except queue.Empty:
+            return None
+        if isinstance(found, BaseException):
+            raise found
+        return found
+
+    def close(self) -> None:
+        """End the thread: at once where it has nothing to do, else at its next chunk of steps."""
+        self.backend.cancel()
+        self._given.put(None)
+        self._thread.join(timeout=_PATIENCE)
+
+    def _serve(self) -> None:
+        while (batch := self._given.get()) is not None:
+            try:
+                self._done.put(_Batch(batch.objects, self._run(batch.objects)))
+            except Cancelled:
+                return
+            except BaseException as error:  # the caller's thread raises it
+                self._done.put(error)
+                return
+
+    def _run(
+        self, objects: Sequence[tuple[Task, Begun]]
+    ) -> Sequence[tuple[TrialResults, ...] | Exception]:
+        """Trials of all objects at once; if that fails, of one after the other, to find out why.
+
+        Raises:
+            Exception: Everything failed, and not by an error of our own: the device is lost.
+        """
+        found = self._together(objects)
+        if not isinstance(found, Exception):
+            return found
+        if len(objects) == 1:
+            return [found]
+        _LOG.warning("a batch of %d objects failed: %s; each alone now", len(objects), str(found))
+        alone = [self._together([item]) for item in objects]
+        if all(isinstance(one, Exception) and not isinstance(one, GmdxError) for one in alone):
+            raise found
+        return [one if isinstance(one, Exception) else one[0] for one in alone]
+
+    def _together(
+        self, objects: Sequence[tuple[Task, Begun]]
+    ) -> Sequence[tuple[TrialResults, ...]] | Exception:
+        """Trials in one call, or the error without what it refers to on the device."""
+        pairs = [pair for _, begun in objects for pair in begun.scenes]
+        try:
+            results = run_trials(
+                [scene for scene, _ in pairs],
+                [grasps for _, grasps in pairs],
+                self.backend,
+                gripper=objects[0][0].gripper,
+                config=self._config.trial,
+            )
+        except Cancelled:
+            raise
+        except Exception as error:
+            _LOG.debug("trials failed", exc_info=error)
+            return error.with_traceback(None)
+        found = iter(results)
+        return [tuple(next(found) for _ in begun.scenes) for _, begun in objects]

@@ -1,0 +1,1 @@
+"""Agreement, and intervals clustered by object."""

@@ -1,0 +1,203 @@
+"""How much labels depend on the engine: a dataset's grasps again in another one, and a noise floor.
+
+```
+<out>/
+  study.json        what the parts depend on: dataset, options, gripper
+  parts/<object_id>/<run>.parquet   one run of one object's grasps; each comes into place whole
+  pairs.parquet     a row per grasp: every run's outcomes and metrics side by side
+  bias.json         all statistics
+  report.html       the same to read, in one file
+```
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gmdx.config import merge
+from gmdx.dataset.read import Dataset, read_dataset
+from gmdx.dataset.schema import DATASET_FILE
+from gmdx.dataset.store import writing
+from gmdx.errors import UsageError
+from gmdx.files.formats import json_text
+from gmdx.metrics.compute import MetricConfig
+from gmdx.objects.prepare import content_hash
+from gmdx.rng import generator
+from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
+from gmdx.studies.bias.compare import compare, most_disputed
+from gmdx.studies.bias.pairs import write_pairs
+from gmdx.studies.bias.parts import PARTS_FOLDER, ReplayProgress, begin, put, run_missing
+from gmdx.studies.bias.replay import Replay, Run, read_parts, runs_of
+from gmdx.studies.bias.result import BiasConfig, BiasStudy, Choice
+from gmdx.studies.engines.truth import TruthRow, truth_table
+from gmdx.trials.engines.registry import choose as choose_backend
+from gmdx.trials.engines.registry import open_backend
+
+if TYPE_CHECKING:
+    pass
+
+PAIRS_FILE, STATISTICS_FILE, REPORT_FILE = "pairs.parquet", "bias.json", "report.html"
+
+
+def bias_study(
+    dataset: Dataset | str | Path,
+    out: str | Path,
+    config: BiasConfig | None = None,
+    *,
+    gripper: Gripper | None = None,
+    on_progress: Callable[[ReplayProgress], None] | None = None,
+) -> BiasStudy:
+    """Replay a dataset's grasps in a second engine; with the same arguments, continue.
+
+    Args:
+        dataset: What to replay, with its own configuration, scenes, grasps and pose noise.
+        out: Folder of the study.
+        config: What to do; see `BiasConfig`.
+        gripper: The one that the dataset was made with; by default the shipped one it names.
+        on_progress: Called at the start and after each replay of an object.
+
+    Raises:
+        UsageError: The second engine is not known or not installed, or the options, the gripper
+            or the folder do not fit the dataset.
+        DatasetError: The dataset or a part is damaged, or the disk refused a write.
+    """
+    config = BiasConfig() if config is None else config
+    dataset = dataset if isinstance(dataset, Dataset) else read_dataset(dataset)
+    gripper = _its_gripper(dataset, gripper)
+    config = replace(config, backend=str(choose_backend(config.backend)))
+    runs = runs_of(dataset, config.backend, noise_floor=config.noise_floor)
+    for backend in {run.backend for run in runs}:
+        open_backend(backend)  # refused before anything is run
+    choice = choose(dataset, config)
+    root = Path(out)
+    begin(
+        root,
+        {
+            "dataset": content_hash(dataset.root / DATASET_FILE),
+            "backend": config.backend,
+            "reference": dataset.info["backend"],
+            "seed": config.seed,
+            "gripper": gripper_record(gripper)["sha256"],
+            "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
+        },
+    )
+
+    tasks = {
+        (object_id, run.name): Replay(
+            dataset=dataset.root,
+            object_id=object_id,
+            rows=rows,
+            run=run,
+            gripper=gripper,
+            metric=merge(MetricConfig(), dataset.info["configuration"]["metric"]),
+            out=root / PARTS_FOLDER / object_id / f"{run.name}.parquet",
+        )
+        for object_id, rows in zip(choice.objects, choice.rows, strict=True)
+        for run in runs
+    }
+    failures = run_missing(list(tasks.values()), config.workers, on_progress)
+    parts = {
+        run.name: read_parts(
+            [
+                (tasks[object_id, run.name].out, len(rows))
+                for object_id, rows in zip(choice.objects, choice.rows, strict=True)
+            ],
+            trials=run.trial.trials,
+        )
+        for run in runs
+    }
+    rows = {name: part.rows for name, part in parts.items()}
+    labels = {run.name: run.label for run in runs}
+    comparisons = [
+        compare(
+            rows["a"],
+            rows[run.name],
+            choice.objects,
+            choice.index,
+            name=run.name,
+            labels=(labels["a"], _told_apart(run, runs)),
+            thresholds=config.thresholds,
+            seed=config.seed,
+            resamples=config.resamples,
+        )
+        for run in runs[1:]
+    ]
+    study = BiasStudy(
+        root=root,
+        dataset=dataset,
+        config=config,
+        choice=choice,
+        runs=runs,
+        backends={name: part.backend for name, part in parts.items()},
+        rows=rows,
+        engines=comparisons[0],
+        floor=tuple(comparisons[1:]),
+        disputed=tuple(most_disputed(rows["a"], rows["b"], config.disputed)),
+        truth=_truth(runs, gripper) if config.truth else (),
+        failures=failures,
+        gripper=gripper,
+    )
+    _finish(study)
+    return study
+
+
+def _truth(runs: tuple[Run, ...], gripper: Gripper) -> tuple[TruthRow, ...]:
+    """The closed forms on both engines, and on the floor's finer steps."""
+    own, other = runs[:2]
+    backends = tuple(dict.fromkeys((own.backend, other.backend)))
+    rows = truth_table(backends, gripper=gripper, config=own.trial)
+    finer = [run for run in runs if run.name == "timestep"]
+    for run in finer:
+        found = truth_table((run.backend,), gripper=gripper, config=run.trial)
+        rows += tuple(replace(row, backend=run.label) for row in found)
+    return rows
+
+
+def choose(dataset: Dataset, config: BiasConfig) -> Choice:
+    """The seeded choice of objects, and of grasps over all scenes of each.
+
+    Raises:
+        UsageError: The dataset holds no objects.
+    """
+    objects = np.array(dataset.objects, dtype=object)
+    if len(objects) == 0:
+        raise UsageError(f"{dataset.root} holds no objects to replay")
+    order = generator(config.seed, "bias", "objects").permutation(len(objects))
+    chosen = tuple(sorted(str(object_id) for object_id in objects[order[: config.objects]]))
+    rows = []
+    for object_id in chosen:
+        count = len(dataset.grasps(object_id, columns=("grasp_id",)))
+        order = generator(config.seed, "bias", "grasps", object_id).permutation(count)
+        rows.append(tuple(sorted(int(row) for row in order[: config.grasps])))
+    return Choice(chosen, tuple(rows))
+
+
+def _its_gripper(dataset: Dataset, gripper: Gripper | None) -> Gripper:
+    """The gripper that the dataset was made with."""
+    wanted = dataset.info["gripper"]
+    gripper = load_gripper(str(wanted["name"])) if gripper is None else gripper
+    if gripper_record(gripper) != wanted:
+        raise UsageError(
+            f"the dataset was made with the gripper {wanted['name']!r} and not with this "
+            f"{gripper.name!r}: pass its description as --gripper FILE"
+        )
+    return gripper
+
+
+def _told_apart(run: Run, runs: tuple[Run, ...]) -> str:
+    """A run's label; where both engines are one, the second says so."""
+    return f"{run.label}, again" if run.name == "b" and run.label == runs[0].label else run.label
+
+
+def _finish(study: BiasStudy) -> None:
+    """Write the results from the parts."""
+    from gmdx.studies.bias.report import report_html
+
+    with writing(study.root):
+        write_pairs(study.root / PAIRS_FILE, study.dataset, study.choice.objects,
+                    study.choice.rows, study.runs, study.rows)  # fmt: skip
+        put(study.root / STATISTICS_FILE, json_text(study.as_json()))
+        put(study.root / REPORT_FILE, report_html(study))

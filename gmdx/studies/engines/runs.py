@@ -1,0 +1,139 @@
+"""Running the same trials on several engines: each in a process of its own, and followed."""
+
+import contextlib
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from gmdx.errors import GmdxError, UsageError
+from gmdx.machine.processes import Crash, run_tasks
+from gmdx.trials.engines.registry import Chosen, choose, open_backend
+
+_LOG = logging.getLogger("gmdx")
+
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """Where a comparison of engines stands."""
+
+    label: str  # of what finished last; "" at the start
+    done: int  # engines; one with several batch sizes counts as several
+    total: int
+    trials: int  # run by now
+
+
+@dataclass(frozen=True)
+class RunFailure:
+    """An engine that could not do what it was asked."""
+
+    label: str
+    error: str
+
+
+@dataclass(frozen=True)
+class _Job(Generic[TaskT, ResultT]):
+    """A task, and what its process needs to know."""
+
+    label: str
+    function: Callable[[TaskT], ResultT]
+    task: TaskT
+    log_level: int
+
+
+class Follower:
+    """Counts the engines that have run, and tells of each."""
+
+    def __init__(self, total: int, on_progress: Callable[[RunProgress], None] | None) -> None:
+        self.done = self.trials = 0
+        self.total, self.on_progress = total, on_progress
+        self._tell("")
+
+    def ran(self, label: str, trials: int) -> None:
+        """An engine has run so many trials, or has failed."""
+        self.done += 1
+        self.trials += trials
+        self._tell(label)
+
+    def _tell(self, label: str) -> None:
+        if self.on_progress is not None:
+            self.on_progress(RunProgress(label, self.done, self.total, self.trials))
+
+
+def run_apart(
+    function: Callable[[TaskT], ResultT], task: TaskT, *, label: str, isolated: bool
+) -> ResultT | RunFailure:
+    """Run a task where no other engine's memory, threads or programs are in its way.
+
+    Args:
+        function: Importable by name.
+        task: Its argument.
+        label: Of the task, for messages.
+        isolated: Use a new process, which a crash ends alone; False stays in this one.
+
+    Returns:
+        What the function returned, or why it could not.
+    """
+    job = _Job(label, function, task, _LOG.getEffectiveLevel())
+    if not isolated:
+        return _attempt(job)
+    with contextlib.closing(run_tasks(_attempt_aloud, [job], workers=2)) as finished:
+        result = next(finished).result
+    if isinstance(result, Crash):
+        _LOG.warning("%s failed: %s", label, result)
+        return RunFailure(label, str(result))
+    return result
+
+
+def choose_all(backends: Sequence[str]) -> list[Chosen]:
+    """Engines by their names, each of them installed.
+
+    Raises:
+        UsageError: One is not known or not installed, or there is none.
+    """
+    if not backends:
+        raise UsageError("give at least one backend")
+    for name in backends:
+        open_backend(name)
+    return [choose(name) for name in backends]
+
+
+def refuse_idle_sizes(engines: Sequence[Chosen], batch_sizes: Sequence[int]) -> None:
+    """Refuse batch sizes where no engine takes any.
+
+    Raises:
+        UsageError: Naming the engines.
+    """
+    if batch_sizes and all(chosen.impl is None for chosen in engines):
+        names = ", ".join(map(str, engines))
+        raise UsageError(f"batch sizes are for mjx-warp and mjx-jax, and not for {names}")
+
+
+def refuse_less_than_one(**counts: int) -> None:
+    """Refuse numbers of things below 1.
+
+    Raises:
+        UsageError: Naming the number.
+    """
+    for name, count in counts.items():
+        if count < 1:
+            raise UsageError(f"{name} must be at least 1, not {count}")
+
+
+def _attempt_aloud(job: _Job[TaskT, ResultT]) -> ResultT | RunFailure:
+    """In a new process: log what the caller listens to."""
+    _LOG.setLevel(job.log_level)
+    return _attempt(job)
+
+
+def _attempt(job: _Job[TaskT, ResultT]) -> ResultT | RunFailure:
+    try:
+        return job.function(job.task)
+    except Exception as error:  # one engine's failure is none of the others'
+        own = isinstance(error, GmdxError)
+        # What is not our own error needs its place in the code to be understood.
+        _LOG.warning("%s failed: %s", job.label, error, exc_info=None if own else error)
+        return RunFailure(job.label, str(error) if own else f"{type(error).__name__}: {error}")

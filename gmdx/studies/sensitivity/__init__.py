@@ -1,0 +1,1 @@
+"""How much labels depend on the parameters of trials."""

@@ -1,0 +1,1 @@
+"""The figures of `epsilon.md`: wrench spaces, hulls, loads."""

@@ -1,0 +1,302 @@
+"""MJX against C MuJoCo, and what its engine does with batches, whoever computes them."""
+
+import gc
+import logging
+import weakref
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
+pytest.importorskip("mujoco.mjx", reason="the extra gmdx[mjx] is not installed")
+
+from gmdx.errors import ConfigError, DeviceMemoryError, UsageError
+from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.machine.devices import cuda_devices
+from gmdx.scenes.gripper import load_gripper
+from gmdx.scenes.layout import GraspModel
+from gmdx.scenes.physics import PhysicsConfig
+from gmdx.scenes.scene import Scene
+from gmdx.trials.engines.parallel import Cancelled, MjxBackend, Worlds
+from gmdx.trials.engines.registry import choose, open_backend
+from gmdx.trials.engines.warp import worlds as warp_worlds
+from gmdx.trials.observations import ChunkResult
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.placement import place
+from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.results import TrialResults
+from gmdx.trials.run import run_trials
+from tests.support import box_object, resting_scene
+
+ON_CPU = pytest.mark.skipif(
+    cuda_devices() > 0, reason="on a GPU the order of contacts, and so the last bits, may differ"
+)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    """Three boxes, as objects of their own."""
+    sizes = ((0.03, 0.04, 0.05), (0.02, 0.05, 0.03), (0.04, 0.04, 0.04))
+    return [resting_scene(box_object(size, object_id=f"box{k}")) for k, size in enumerate(sizes)]
+
+
+@pytest.fixture(scope="module")
+def grasps() -> list[PlanarGrasp]:
+    rng = np.random.default_rng(3)
+
+    def some(n: int) -> PlanarGrasp:
+        center = np.column_stack([rng.uniform(-0.015, 0.015, (n, 2)), rng.uniform(0.012, 0.04, n)])
+        return PlanarGrasp(
+            np.arange(n) * 7, center, rng.uniform(0, np.pi, n), rng.uniform(0.06, 0.085, n)
+        )
+
+    return [some(n) for n in (4, 3, 5)]
+
+
+@pytest.fixture(scope="module")
+def mixed(scenes: list[Scene], grasps: list[PlanarGrasp]) -> list[TrialResults]:
+    return run_trials(scenes, grasps, "mjx", impl="warp", trials=2)
+
+
+def _same(a: TrialResults, b: TrialResults) -> None:
+    for name in ("outcome", "collision", "object_position", "object_quaternion", "opening",
+                 "push_force", "push_force_is_lower_bound"):  # fmt: skip
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    np.testing.assert_array_equal(a.contacts.points, b.contacts.points)
+
+
+def test_the_sample_sees_more_than_one_outcome(mixed: list[TrialResults]) -> None:
+    outcomes = np.concatenate([found.outcome.ravel() for found in mixed])
+    assert len(np.unique(outcomes)) >= 3
+    assert (outcomes == Outcome.SUCCESS).any()
+
+
+@ON_CPU
+def test_mixed_and_separate_runs_agree_trial_by_trial(
+    scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
+) -> None:
+    for scene, some, found in zip(scenes, grasps, mixed, strict=True):
+        _same(found, run_trials(scene, some, "mjx", impl="warp", trials=2))
+
+
+@ON_CPU
+def test_batches_change_no_trial(
+    scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
+) -> None:
+    found = run_trials(scenes, grasps, "mjx", impl="warp", trials=2, batch_size=5)
+    for one, other in zip(found, mixed, strict=True):
+        _same(one, other)
+
+
+def test_c_mujoco_runs_several_scenes_as_it_runs_each(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    found = run_trials(scenes, grasps, trials=2)
+    for scene, some, one in zip(scenes, grasps, found, strict=True):
+        _same(one, run_trials(scene, some, trials=2))
+
+
+class _Small:
+    """Warp's implementation on a device that has room for so many trials and no more."""
+
+    def __init__(self, room: int, *, at_launch: bool) -> None:
+        self.room, self.at_launch = room, at_launch
+        self.opened: list[int] = []
+        self.bucket, self.device = warp_worlds.bucket, warp_worlds.device
+
+    def suggested_capacity(self, models: Sequence[GraspModel]) -> int | None:
+        return 16
+
+    def open_worlds(
+        self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+    ) -> Worlds:
+        self.opened.append(capacity)
+        if capacity > self.room and not self.at_launch:
+            raise DeviceMemoryError(f"no room for {capacity} trials")
+        worlds = warp_worlds.open_worlds(models, capacity=capacity, config=config)
+        return _SmallWorlds(worlds, full=capacity > self.room)
+
+
+class _SmallWorlds:
+    def __init__(self, worlds: Worlds, *, full: bool) -> None:
+        self.worlds, self.full, self.lanes = worlds, full, 1
+
+    def launch(self, *arrays: np.ndarray) -> Callable[[], ChunkResult]:
+        if self.full:
+            raise DeviceMemoryError("no room for these trials")
+        return self.worlds.launch(*arrays)
+
+
+@ON_CPU
+@pytest.mark.parametrize("at_launch", [False, True])
+def test_a_device_that_is_full_gets_smaller_batches(
+    scenes: list[Scene],
+    grasps: list[PlanarGrasp],
+    mixed: list[TrialResults],
+    at_launch: bool,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    backend = MjxBackend("warp")
+    backend.implementation = small = _Small(5, at_launch=at_launch)
+    with caplog.at_level(logging.WARNING, logger="gmdx"):
+        found = run_trials(scenes[:1], grasps[:1], backend, trials=2)
+    assert small.opened == [16, 8, 4]
+    assert len([text for text in caplog.messages if "side by side" in text]) == 2
+    _same(found[0], mixed[0])
+
+
+def test_a_device_without_any_room_is_an_error(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    backend = MjxBackend("warp")
+    backend.implementation = _Small(0, at_launch=True)
+    with pytest.raises(DeviceMemoryError, match="no room"):
+        run_trials(scenes[:1], grasps[:1], backend, trials=1)
+
+
+def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarGrasp]) -> None:
+    """Every launch holds live trials only: as many steps as the results report, not one more."""
+    ran = 0
+
+    class Counted(_Small):
+        def open_worlds(
+            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        ) -> Worlds:
+            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            launch = worlds.launch
+
+            def noted(*arrays: np.ndarray) -> Callable[[], ChunkResult]:
+                nonlocal ran
+                ran += int(arrays[-1].sum())
+                assert len(arrays[0]) <= capacity
+                return launch(*arrays)
+
+            worlds.launch = noted  # type: ignore[method-assign]
+            return worlds
+
+    backend = MjxBackend("warp")
+    backend.implementation = Counted(16, at_launch=True)
+    (found,) = run_trials(scenes[:1], grasps[:1], backend, trials=2)
+    assert ran == found.steps
+    gripper, config = load_gripper(), TrialConfig(trials=2)
+    schedule = place(scenes[0], grasps[0], gripper=gripper, config=config).schedule(config)
+    assert found.steps < 8 * sum(len(phase) for phase in vars(schedule).values())
+
+
+def test_no_scenes_and_no_grasps_are_no_results(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    assert run_trials([], [], "mjx", impl="warp") == []
+    (found,) = run_trials(scenes[:1], [grasps[0][:0]], "mjx", impl="warp")
+    assert len(found) == 0
+
+
+def test_names_of_backends() -> None:
+    assert str(choose("mjx", "jax")) == str(choose("mjx-jax")) == "mjx-jax"
+    assert choose("mujoco").impl is None
+    for wrong in ("mjy", "mjx-cuda", "mjx-"):
+        with pytest.raises(ConfigError, match=rf"unknown backend '{wrong}'.*mjx, .*mjx-warp"):
+            choose(wrong)
+    for backend, impl in (("mujoco", "jax"), ("bullet", "warp"), ("mjx-jax", "warp")):
+        with pytest.raises(ConfigError, match=f"implementation '{impl}' is of backend 'mjx', not"):
+            choose(backend, impl)
+    with pytest.raises(ConfigError, match=r"unknown implementation 'cuda'.*auto, warp, jax"):
+        choose("mjx", "cuda")
+
+
+def test_auto_is_mjx_where_there_is_an_accelerator(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 0)
+    monkeypatch.setattr("gmdx.machine.devices.accelerator", lambda: None)
+    assert str(choose("auto")) == "mujoco"
+    with caplog.at_level(logging.INFO, logger="gmdx"):
+        open_backend("auto")
+    assert "backend auto: mujoco runs the trials" in caplog.text
+    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 1)
+    assert str(choose("auto")) == "mjx-warp"
+    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 0)
+    monkeypatch.setattr("gmdx.machine.devices.accelerator", lambda: "tpu")
+    assert str(choose("auto")) == str(choose("mjx")) == "mjx-jax"
+
+
+@pytest.mark.parametrize("impl", ["warp", "jax"])
+def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound(impl: str) -> None:
+    """The ramp is no whole number of chunks long."""
+    scene = resting_scene(box_object((0.03, 0.04, 0.05), friction=2.6))
+    grasp = PlanarGrasp(np.zeros(1, int), np.array([[0, 0, 0.025]]), np.zeros(1), np.full(1, 0.05))
+    config = TrialConfig(trials=1)
+    reference = run_trials(scene, grasp, config=config)
+    found = run_trials(scene, grasp, "mjx", impl=impl, config=config)
+    assert reference.push_force_is_lower_bound[0]
+    assert found.push_force_is_lower_bound[0]
+    assert found.push_force[0] == reference.push_force[0] == pytest.approx(60.0)
+
+
+def test_a_cancelled_run_ends_at_its_next_launch(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    backend = MjxBackend("warp")
+    launched = 0
+
+    class Watched(_Small):
+        def open_worlds(
+            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        ) -> Worlds:
+            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            launch = worlds.launch
+
+            def noted(*arrays: np.ndarray) -> Callable[[], ChunkResult]:
+                nonlocal launched
+                launched += 1
+                backend.cancel()
+                return launch(*arrays)
+
+            worlds.launch = noted  # type: ignore[method-assign]
+            return worlds
+
+    backend.implementation = Watched(16, at_launch=True)
+    with pytest.raises(Cancelled):
+        run_trials(scenes[:1], grasps[:1], backend, trials=1)
+    assert launched == 1
+
+
+def test_a_smaller_batch_gets_the_memory_of_the_larger_one(
+    scenes: list[Scene], grasps: list[PlanarGrasp]
+) -> None:
+    """Nothing holds what did not fit: it is gone before it is tried again."""
+    held: list[weakref.ref[Worlds]] = []
+
+    class Watched(_Small):
+        def open_worlds(
+            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        ) -> Worlds:
+            assert not any(worlds() is not None for worlds in held)
+            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            held.extend(weakref.ref(part) for part in worlds.worlds.parts)  # type: ignore[attr-defined]
+            return worlds
+
+    backend = MjxBackend("warp")
+    backend.implementation = Watched(5, at_launch=True)
+    gc.collect()
+    gc.disable()
+    try:
+        run_trials(scenes[:1], grasps[:1], backend, trials=2)
+    finally:
+        gc.enable()
+    assert len(held) == 3
+    assert not any(worlds() is not None for worlds in held)
+
+
+def test_scenes_and_grasps_come_in_pairs(scenes: list[Scene], grasps: list[PlanarGrasp]) -> None:
+    for wrong in ((scenes, grasps[:2]), (scenes, grasps[0]), (scenes[0], grasps)):
+        with pytest.raises(UsageError, match="one record of grasps for each scene"):
+            run_trials(*wrong)
+
+
+def test_pyramidal_cones_are_refused_with_the_reason() -> None:
+    with pytest.raises(ConfigError, match=r"pyramidal friction cones are refused.*0\.81"):
+        PhysicsConfig(cone="pyramidal")
+    with pytest.raises(ConfigError, match="unknown cone 'round'"):
+        PhysicsConfig(cone="round")
