@@ -33,22 +33,22 @@ if TYPE_CHECKING:
 class Parity:
     """How far engines agree with C MuJoCo on the same seeded trials: outcomes and metrics.
 
-    Differences are absolute, over the grasps for which both engines have the metric. Warp and JAX
-    are held to limits; other engines, which are other physics, are only shown.
+    Differences are absolute, over the grasps for which both engines have the metric. Warp is held
+    to limits; PyBullet, which is other physics, is only shown.
     """
 
     objects: Objects = ("bundled",)
     """what to grasp"""
-    backend: Names = "mjx-warp,mjx-jax"
-    """engines to compare with C MuJoCo: mjx-warp, mjx-jax, bullet"""
+    engine: Names = "warp"
+    """engines to compare with C MuJoCo: warp, bullet"""
     grasps: int = 16
     """grasps per object"""
     trials: int = 5
     """trials per grasp, of which the first is pushed and gives the metrics"""
-    batch_size: Annotated[
+    parallel_trials: Annotated[
         str, arg(metavar="N", help_behavior_hint="(default: by the device's memory)")
     ] = ""
-    """trials side by side on MJX; no result may depend on it"""
+    """trials side by side on a device; no result may depend on it"""
     threads: int = 1
     """of MuJoCo on the CPU"""
     floor: bool = True
@@ -70,23 +70,27 @@ class Parity:
             )
             from gmdx.trials.protocol import TrialConfig
 
-        backends, gripper = names(self.backend), load_gripper(self.gripper)
-        sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else []
+        engines, gripper = names(self.engine), load_gripper(self.gripper)
+        sizes = (
+            numbers(self.parallel_trials, option="--parallel-trials")
+            if self.parallel_trials
+            else []
+        )
         if len(sizes) > 1:
-            raise UsageError(f"--batch-size takes one number here, not {self.batch_size}")
+            raise UsageError(f"--parallel-trials takes one number here, not {self.parallel_trials}")
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
-        refuse_idle_sizes(choose_all(backends), sizes)  # before any object is prepared
+        refuse_idle_sizes(choose_all(engines), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
         with showing_runs() as show:
             figures = parity_figures(
                 scenes,
-                backends=backends,
+                engines=engines,
                 grasps=self.grasps,
                 gripper=gripper,
                 config=TrialConfig(trials=self.trials),
                 threads=self.threads,
                 floor=self.floor,
-                batch_size=sizes[0] if sizes else None,
+                parallel_trials=sizes[0] if sizes else None,
                 isolated=True,
                 on_progress=show,
             )
@@ -111,7 +115,7 @@ def show_parity(figures: "ParityFigures") -> None:
         console().print(_parity_table(parity))
         if parity.disagreements:
             table = Table(
-                "in mujoco", f"in {parity.backend}", "trials", title="outcomes that differ"
+                "in mujoco", f"in {parity.engine}", "trials", title="outcomes that differ"
             )
             for row in parity.disagreements:
                 table.add_row(row.reference, row.other, str(row.trials))
@@ -122,19 +126,19 @@ def show_parity(figures: "ParityFigures") -> None:
             words = ", ".join(f"{one.object_id} {100 * one.agreement:.1f}" for one in differing[:4])
             say(f"least agreement by object, %: {words}")
         if parity.passed is not None:
-            say(f"{parity.backend}: {'pass' if parity.passed else 'FAIL'}")
+            say(f"{parity.engine}: {'pass' if parity.passed else 'FAIL'}")
     say_failures(figures.failures)
     say(_PARITY_NOTES)
     if figures.floor is not None:
         say(f"nudged: every object moved by {figures.nudge:g} m; what that changes, chance changes")
     for parity in figures.parities:
-        say(f"{parity.backend}: {parity.engine}")
+        say(f"{parity.engine}: {parity.version}")
     say(f"reference: {figures.reference}")
     say_machine(figures.machine)
 
 
 def _parity_table(parity: "EngineParity") -> Table:
-    title = f"gmdx bench parity: {parity.backend} ({parity.grasps} grasps, {parity.trials} trials)"
+    title = f"gmdx bench parity: {parity.engine} ({parity.grasps} grasps, {parity.trials} trials)"
     table = Table(title=title)
     table.add_column("what", no_wrap=True)
     for name in ("unit", "pairs", "median", "95 %", "largest"):

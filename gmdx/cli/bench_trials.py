@@ -42,15 +42,15 @@ class Trials:
     on one thread it is what the clock would show on an idle machine.
 
     A trial is about 200 steps. MuJoCo takes about 30 microseconds a step on one core, Warp about 2
-    milliseconds where it has no device but the CPU, and JAX more: ask for few grasps there.
+    milliseconds where it has no device but the CPU: ask for few grasps there.
     """
 
     objects: Objects = ("bundled",)
     """what to grasp"""
-    backend: Names = "mujoco"
-    """mujoco, mjx-warp, mjx-jax, bullet; the last column compares each with the first"""
-    batch_size: _Sizes = ""
-    """trials side by side on MJX, a row each"""
+    engine: Names = "mujoco"
+    """mujoco, warp, bullet; the last column compares each with the first"""
+    parallel_trials: _Sizes = ""
+    """trials side by side on a device, a row each"""
     grasps: int = 16
     """grasps per object: take enough to fill the largest batch several times"""
     trials: int = 5
@@ -74,10 +74,14 @@ class Trials:
             from gmdx.studies.engines.speed import trial_figures
             from gmdx.trials.protocol import TrialConfig
 
-        backends, gripper = names(self.backend), load_gripper(self.gripper)
-        sizes = numbers(self.batch_size, option="--batch-size") if self.batch_size else []
+        engines, gripper = names(self.engine), load_gripper(self.gripper)
+        sizes = (
+            numbers(self.parallel_trials, option="--parallel-trials")
+            if self.parallel_trials
+            else []
+        )
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
-        refuse_idle_sizes(choose_all(backends), sizes)  # before any object is prepared
+        refuse_idle_sizes(choose_all(engines), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
         with showing_runs() as show:
             speed = trial_figures(
@@ -85,8 +89,8 @@ class Trials:
                 grasps=self.grasps,
                 gripper=gripper,
                 config=TrialConfig(trials=self.trials),
-                backends=backends,
-                batch_sizes=sizes,
+                engines=engines,
+                parallel_trials=sizes,
                 threads=self.threads,
                 isolated=True,
                 on_progress=show,
@@ -146,7 +150,7 @@ def show_speed(speed: "TrialSpeed") -> None:
     """One table of at most 100 columns, and what it ran on."""
     title = f"gmdx bench trials ({len(speed.objects)} objects, {speed.grasps} grasps)"
     table = Table(title=title, box=SIMPLE_HEAVY, collapse_padding=True, pad_edge=False)
-    table.add_column("backend", no_wrap=True)
+    table.add_column("engine", no_wrap=True)
     columns = (
         "batch", "trials\na second", "steps a\nsecond", "us a\nstep", "host\nms", "first\nrun s",
         "compiled", "device\nMB", "suc-\ncess", "times\nfirst",
@@ -155,8 +159,8 @@ def show_speed(speed: "TrialSpeed") -> None:
         table.add_column(name, justify="right", no_wrap=True)
     for row in speed.figures:
         table.add_row(
-            row.backend,
-            "" if row.batch_size is None else str(row.batch_size),
+            row.engine,
+            "" if row.parallel_trials is None else str(row.parallel_trials),
             short(row.trials_per_second),
             short(row.steps_per_second),
             short(row.step_microseconds),
@@ -171,14 +175,14 @@ def show_speed(speed: "TrialSpeed") -> None:
     say_failures(speed.failures)
     for row in speed.figures:
         if row.failed:
-            say(f"{row.backend}: {row.failed} of {row.trials} trials diverged or overflowed")
-        if row.batch_size is not None and row.trials < 2 * row.batch_size:
-            say(f"{row.backend} x {row.batch_size}: filled at most once by {row.trials} trials")
+            say(f"{row.engine}: {row.failed} of {row.trials} trials diverged or overflowed")
+        if row.parallel_trials is not None and row.trials < 2 * row.parallel_trials:
+            say(f"{row.engine} x {row.parallel_trials}: filled at most once by {row.trials} trials")
     say(_SPEED_NOTES)
-    for name, engine in dict.fromkeys((row.backend, row.engine) for row in speed.figures):
-        threads = next(row.threads for row in speed.figures if row.backend == name)
+    for name, version in dict.fromkeys((row.engine, row.version) for row in speed.figures):
+        threads = next(row.threads for row in speed.figures if row.engine == name)
         used = "" if threads is None else f", {threads} thread{'s' if threads > 1 else ''}"
-        say(f"{name}: {engine}{used}")
+        say(f"{name}: {version}{used}")
     say_machine(speed.machine)
 
 

@@ -66,13 +66,13 @@ class Generate:
     """simulated trials per grasp"""
     gripper: Annotated[str | None, *_optional(str, "NAME|FILE", "parallel_jaw")] = None
     """a shipped gripper, or the description of your own"""
-    backend: Annotated[str | None, *_optional(str, "NAME", "mujoco")] = None
-    """what runs the trials: mujoco (C, on the CPU), mjx (in batches on an accelerator), bullet, or
-    auto (mjx where there is an accelerator)"""
-    impl: Annotated[str | None, *_optional(str, "NAME", "auto")] = None
-    """of mjx: warp, jax, or auto (warp on NVIDIA and on a plain CPU, else jax)"""
-    batch_size: Annotated[int | None, *_optional(int, "INT", "what the device has room for")] = None
-    """trials side by side on mjx; without effect on results, on a GPU but for their last bits"""
+    engine: Annotated[str | None, *_optional(str, "NAME", "mujoco")] = None
+    """what runs the trials: mujoco (C, on the CPU), warp (many objects at once on NVIDIA GPUs),
+    bullet, or auto (warp where there is such a GPU, else mujoco)"""
+    parallel_trials: Annotated[
+        int | None, *_optional(int, "INT", "what the device has room for")
+    ] = None
+    """side by side on a device; without effect on results, on a GPU but for their last bits"""
     workers: Annotated[int | None, *_optional(int, "INT", "one per core")] = None
     """processes; results do not depend on it"""
     seed: Annotated[int | None, *_optional(int, "INT", "0")] = None
@@ -86,10 +86,10 @@ class Generate:
         """Generate the dataset."""
         with interrupts_kept():
             from gmdx.pipeline.generate import generate
-            from gmdx.trials.engines.registry import open_backend
+            from gmdx.trials.engines.registry import open_engine
 
             settings = self.settings()
-            open_backend(str(settings.chosen))  # imports what it needs
+            open_engine(settings.engine)  # imports what it needs
 
         with following("grasps") as on_progress:
             summary = generate(self.objects, self.out, settings, on_progress=on_progress)
@@ -104,7 +104,7 @@ class Generate:
         if self.config is not None:
             config = merge(config, load_toml(self.config))
         names = (
-            "grasps", "scenes", "trials", "gripper", "backend", "impl", "batch_size", "workers",
+            "grasps", "scenes", "trials", "gripper", "engine", "parallel_trials", "workers",
             "seed", "cache",
         )  # fmt: skip
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -286,7 +286,7 @@ class Bias:
     """grasps of each object, chosen by the seed; 0: all"""
     seed: int = 0
     """of the choice and of the intervals' resampling"""
-    backend: str = "bullet"
+    engine: str = "bullet"
     """the other engine"""
     floor: bool = True
     """also run the dataset's engine against itself"""
@@ -309,7 +309,7 @@ class Bias:
             objects=self.objects,
             grasps=None if self.grasps == 0 else self.grasps,
             seed=self.seed,
-            backend=self.backend,
+            engine=self.engine,
             noise_floor=self.floor,
             workers=available_cores() if self.workers is None else self.workers,
         )

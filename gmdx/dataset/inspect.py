@@ -133,7 +133,7 @@ def _summary(view: Overview) -> Table:
     table.add_row("grasps", str(view.grasps))
     table.add_row("failures", str(len(view.failures)))
     table.add_row("gripper", str(info["gripper"]["name"]))
-    table.add_row("backend", str(info["backend"]))
+    table.add_row("engine", str(info["engine"]))
     table.add_row("seed", str(info["seed"]))
     for kernel, name in view.evidence.kernels.items():
         table.add_row(kernel, name)

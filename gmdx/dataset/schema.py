@@ -2,7 +2,7 @@
 
 ```
 <root>/
-  dataset.json            schema version, configuration, seed, package versions, backend, counts
+  dataset.json            schema version, configuration, seed, package versions, engine, counts
   failures.jsonl          a line for each object or scene that was not produced
   objects/<object_id>/
     object.json           source, repair, scale, mass, inertia, stable poses; scenes and failures;

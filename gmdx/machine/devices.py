@@ -78,17 +78,6 @@ def start_warp() -> None:
                 _LOG.debug("warp: %s", line)
 
 
-def has_accelerator() -> bool:
-    """Whether trials can run on an accelerator."""
-    return (cuda_devices() > 0 and installed("mujoco.mjx")) or accelerator() is not None
-
-
-def warp_fits() -> bool:
-    """Whether Warp is the better of MJX's implementations: on NVIDIA, and on a plain CPU."""
-    there = installed("warp") and installed("mujoco.mjx")
-    return there and (cuda_devices() > 0 or accelerator() is None)
-
-
 def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> None:
     """Refuse a name that is neither `auto` nor one of a kernel's implementations.
 
@@ -114,7 +103,7 @@ def implementation(name: str, *, cpu: str, accelerated: str = "jax") -> str:
         ConfigError: It is JAX, which is not installed.
     """
     if name == "jax" and not installed("jax"):
-        raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[mjx]'")
+        raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[jax]'")
     if name == "auto":
         name = cpu if accelerator() is None else accelerated
     if name == "jax":

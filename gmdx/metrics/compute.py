@@ -161,7 +161,7 @@ def compute_metrics(
         cost=dict(clock.seconds),
         evidence=Evidence(
             kernels={
-                "trials": trials.backend,
+                "trials": trials.engine,
                 "closing_lines": on_device(analytical.implementation),
                 "pair_epsilon": on_device(config.quality.implementation),
             },

@@ -97,7 +97,7 @@ def grasp_picture(
     trials = run_trials(
         scene,
         grasp,
-        info["backend"],
+        info["engine"],
         trials=1,
         gripper=gripper,
         config=merge(TrialConfig(), settings["trial"]),

@@ -87,7 +87,7 @@ def annotate(task: Task) -> Ended:
 
     def run(scene: Scene, grasps: PlanarGrasp, rows: slice) -> TrialResults:
         batch, gripper = grasps[rows], task.gripper
-        return run_trials(scene, batch, config.backend, gripper=gripper, config=config.trial)
+        return run_trials(scene, batch, config.engine, gripper=gripper, config=config.trial)
 
     costs = Costs()
     try:
@@ -208,8 +208,8 @@ def _batches(
 ) -> Iterator[tuple[PlanarGrasp, Mapping[str, Array]]]:
     """Grasps with their columns, a batch at a time, so that memory does not grow with them."""
     config = task.config
-    for start in range(0, len(grasps), config.batch):
-        rows = slice(start, start + config.batch)
+    for start in range(0, len(grasps), config.block):
+        rows = slice(start, start + config.block)
         batch = grasps[rows]
         with costs.stage("trials"):
             trials = run(scene, grasps, rows)

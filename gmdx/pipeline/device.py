@@ -17,7 +17,8 @@ from gmdx.errors import GmdxError
 from gmdx.machine.processes import LATER, Finished, Later, run_tasks
 from gmdx.pipeline.annotate import Begun, Ended, Task, Tried, begin, failure, finish, lost
 from gmdx.pipeline.config import GenerateConfig
-from gmdx.trials.engines.parallel import OBJECTS, Cancelled, MjxBackend
+from gmdx.trials.engines.parallel import OBJECTS, Cancelled, ParallelEngine
+from gmdx.trials.engines.registry import open_engine
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 
@@ -35,11 +36,11 @@ def annotate_in_batches(
         config: Of the run, resolved.
         workers: Processes for everything but the trials.
     """
-    impl = config.chosen.impl
-    if impl is None:
-        raise ValueError(f"backend {config.backend} has no batches across objects")
-    device = _Device(MjxBackend(impl, batch_size=config.batch_size), config)
-    _LOG.info("trials run on %s", device.backend.version)
+    engine = open_engine(config.engine, parallel_trials=config.parallel_trials)
+    if not isinstance(engine, ParallelEngine):
+        raise ValueError(f"engine {config.engine} has no trials side by side")
+    device = _Device(engine, config)
+    _LOG.info("trials run on %s", engine.version)
     schedule = _Schedule(tasks, device)
     # What is not known yet is no task that a worker sees.
     stream = cast(Iterator[Task | Tried], schedule.next_tasks())
@@ -144,10 +145,10 @@ class _Schedule:
 class _Device:
     """A thread that runs one batch after the other."""
 
-    def __init__(self, backend: MjxBackend, config: GenerateConfig) -> None:
-        self.backend, self._config = backend, config
+    def __init__(self, engine: ParallelEngine, config: GenerateConfig) -> None:
+        self.engine, self._config = engine, config
         trials = config.scenes * config.grasps * config.trials
-        self.objects = min(max(1, -(-backend.wanted_trials // trials)), OBJECTS)  # a batch
+        self.objects = min(max(1, -(-engine.wanted_trials // trials)), OBJECTS)  # a batch
         self._given: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._done: queue.SimpleQueue[_Batch | BaseException] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._serve, name="gmdx trials", daemon=True)
@@ -169,7 +170,7 @@ class _Device:
 
     def close(self) -> None:
         """End the thread: at once where it has nothing to do, else at its next chunk of steps."""
-        self.backend.cancel()
+        self.engine.cancel()
         self._given.put(None)
         self._thread.join(timeout=_PATIENCE)
 
@@ -211,7 +212,7 @@ class _Device:
             results = run_trials(
                 [scene for scene, _ in pairs],
                 [grasps for _, grasps in pairs],
-                self.backend,
+                self.engine,
                 gripper=objects[0][0].gripper,
                 config=self._config.trial,
             )

@@ -20,7 +20,7 @@ from gmdx.pipeline.annotate import Ended, Task, annotate, lost
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.pipeline.device import annotate_in_batches
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
-from gmdx.trials.engines.registry import engine_packages, open_backend
+from gmdx.trials.engines.registry import AUTO, ENGINES, choose, open_engine
 
 logger = logging.getLogger("gmdx")
 
@@ -31,7 +31,7 @@ PACKAGES = (
     "gmdx", "clarabel", "coacd", "fast-simplification", "manifold3d", "mujoco", "numpy",
     "pyarrow", "scipy", "trimesh",
 )  # fmt: skip
-_WITHOUT_EFFECT = ("workers", "batch", "batch_size", "cache")  # on results
+_WITHOUT_EFFECT = ("workers", "block", "parallel_trials", "cache")  # on results
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ def generate(
         DatasetError: The disk refused a write; what is complete stays.
     """
     config = GenerateConfig() if config is None else config
-    if config.backend == "auto":
-        logger.info("backend auto: %s runs the trials", config.chosen)
+    if config.engine == AUTO:
+        logger.info("engine auto: %s runs the trials", choose(config.engine))
     config = config.resolved()
     specs = [objects] if isinstance(objects, str | Path) else list(objects)
     sources = resolve([str(spec) for spec in specs], leave_out=Path(out))
@@ -134,7 +134,7 @@ def _annotated(
 ) -> Generator[Finished[Task, Ended], None, None]:
     """Objects as they are done, on the processor alone or with a device for the trials."""
     workers = min(config.workers, max(count, 1))
-    if config.chosen.impl is None:
+    if not ENGINES[config.engine].parallel:
         return run_tasks(annotate, tasks, workers=workers)
     return annotate_in_batches(tasks, config, workers=workers)
 
@@ -163,13 +163,13 @@ def _crashed(object_id: str, crash: Crash) -> Ended:
 
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
     """Everything that results depend on besides the objects."""
-    open_backend(str(config.chosen))  # refused by name where it is not installed
-    packages = (*PACKAGES, *engine_packages(config.chosen), *_kernel_packages(config))
+    open_engine(config.engine)  # refused by name where it is not installed
+    packages = (*PACKAGES, *ENGINES[config.engine].packages, *_kernel_packages(config))
     return {
         "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
         "gripper": gripper_record(gripper),
         "seed": config.seed,
-        "backend": str(config.chosen),
+        "engine": config.engine,
         "packages": {name: version(name) for name in packages},
     }
 

@@ -14,12 +14,12 @@ from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.layout import HEIGHT_QPOS, OBJECT_QPOS
 from gmdx.trials import observations
-from gmdx.trials.engines.engine import Engine
 from gmdx.trials.observations import ChunkResult, ObservedSteps
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import Phase, Schedule, TrialConfig
 from gmdx.trials.results import Snapshot
+from gmdx.trials.stepper import Stepper
 
 _Observe = Callable[[Int[Array, "a"], ObservedSteps, Int[Array, "a"], slice], Bool[Array, "a"]]
 
@@ -30,10 +30,12 @@ class Execution:
     A trial runs its own batch's schedule and sees nothing of the other trials.
     """
 
-    def __init__(self, engine: Engine, batches: Sequence[TrialBatch], config: TrialConfig) -> None:
-        self.engine, self.batches, self.config = engine, tuple(batches), config
-        self.layout = engine.sensors
-        self.nq, nv = engine.size
+    def __init__(
+        self, stepper: Stepper, batches: Sequence[TrialBatch], config: TrialConfig
+    ) -> None:
+        self.stepper, self.batches, self.config = stepper, tuple(batches), config
+        self.layout = stepper.sensors
+        self.nq, nv = stepper.size
         sizes = [len(batch) for batch in batches]
         count = sum(sizes)
         self.batch_of = np.repeat(np.arange(len(sizes)), sizes)
@@ -42,7 +44,7 @@ class Execution:
         self.start_height = _joined(batches, "start_height")
         self.state = np.zeros((count, 1 + self.nq + nv))  # time, qpos, qvel
         self.qpos_at_sensors = np.zeros((count, self.nq))
-        self.sensors = np.zeros((count, engine.sensor_count))
+        self.sensors = np.zeros((count, stepper.sensor_count))
 
         self.outcome = np.full(count, -1)
         self.collision = np.zeros(count, bool)
@@ -103,7 +105,7 @@ class Execution:
         qpos[:, OBJECT_QPOS] = _joined(self.batches, "object_pose")
         qpos[:, HEIGHT_QPOS] = self.start_height
         openings = [batch.gripper.finger_positions(batch.opening) for batch in self.batches]
-        qpos[:, self.engine.finger_qpos] = np.concatenate(openings)
+        qpos[:, self.stepper.finger_qpos] = np.concatenate(openings)
         self.state[:, 1 : 1 + self.nq] = qpos
         self._snapshot(Snapshot.START)
 
@@ -139,7 +141,7 @@ class Execution:
     def _read_grip(self) -> None:
         """Contacts and opening at the end of closing; trials without a grip end here."""
         alive = np.flatnonzero(self._alive())
-        fingers = self.state[alive, 1:][:, self.engine.finger_qpos]
+        fingers = self.state[alive, 1:][:, self.stepper.finger_qpos]
         self.opening[alive] = self.batches[0].gripper.opening(fingers)
         # Sensors belong to the start of their step, so they go with the pose before it.
         pose = self.qpos_at_sensors[alive, OBJECT_QPOS]
@@ -268,7 +270,7 @@ class Execution:
             part = phases[number].force[span]
             force[: len(part)] = part
         begin = time.perf_counter()
-        found = self.engine.step(rows, self.state[rows], control, force, count)
+        found = self.stepper.step(rows, self.state[rows], control, force, count)
         self.step_seconds += time.perf_counter() - begin
         self.steps[rows] += count
         return found

@@ -1,4 +1,4 @@
-"""What a backend is handed and what it hands back: trials in the gripper's frame.
+"""What an engine is handed and what it hands back: trials in the gripper's frame.
 
 The gripper's frame turns and shifts with each grasp: its z axis is the world's, its origin lies
 on the table below the tool point, its x axis is the closing axis. The table is z = 0 in it.

@@ -1,7 +1,7 @@
 """The phases of a trial, declared as data and compiled to controls and forces a step.
 
-Every backend runs this one schedule: heights and speeds for the gripper, a closing speed for
-its fingers, and an external force on the object. It is open loop. What a backend may do is to
+Every engine runs this one schedule: heights and speeds for the gripper, a closing speed for
+its fingers, and an external force on the object. It is open loop. What an engine may do is to
 stop a trial early: when it has ended (see `outcome`), or when nothing moves any more.
 """
 

@@ -1,4 +1,4 @@
-"""What a backend returns for a batch of grasps."""
+"""What an engine found about some grasps."""
 
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
@@ -37,7 +37,7 @@ class TrialResults:
     push_force: Float[Array, "n"]  # N, that pushed it out; 0 if not lifted, or if it slipped
     # out by itself; NaN if the trial or its push diverged
     push_force_is_lower_bound: Bool[Array, "n"]  # the ramp ended before the object came out
-    backend: str  # which engine ran, with its version
+    engine: str  # which one ran, with its version
     steps: int  # physics steps over all trials
     step_seconds: float  # s, inside the engine's step
     seconds: float  # s, in all
@@ -58,4 +58,4 @@ class TrialResults:
         )  # fmt: skip
 
 
-_WHOLE = ("gripper", "backend", "steps", "step_seconds", "seconds")  # not a row a grasp
+_WHOLE = ("gripper", "engine", "steps", "step_seconds", "seconds")  # not a row a grasp

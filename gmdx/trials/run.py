@@ -1,4 +1,4 @@
-"""Running trials: one entry for every backend."""
+"""Running trials: one entry for every engine."""
 
 import logging
 import time
@@ -13,7 +13,8 @@ from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
-from gmdx.trials.engines.registry import Backend, open_backend
+from gmdx.trials.engines.engine import Engine
+from gmdx.trials.engines.registry import DEFAULT_ENGINE, open_engine
 from gmdx.trials.placement import RawTrials, TrialBatch, place, to_world
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
@@ -25,14 +26,13 @@ _LOG = logging.getLogger("gmdx")
 def run_trials(
     scenes: Scene,
     grasps: PlanarGrasp,
-    backend: str | Backend = ...,
+    engine: str | Engine = ...,
     *,
-    impl: str = ...,
     trials: int | None = ...,
     gripper: Gripper | None = ...,
     config: TrialConfig | None = ...,
     threads: int = ...,
-    batch_size: int | None = ...,
+    parallel_trials: int | None = ...,
 ) -> TrialResults: ...
 
 
@@ -40,55 +40,50 @@ def run_trials(
 def run_trials(
     scenes: Sequence[Scene],
     grasps: Sequence[PlanarGrasp],
-    backend: str | Backend = ...,
+    engine: str | Engine = ...,
     *,
-    impl: str = ...,
     trials: int | None = ...,
     gripper: Gripper | None = ...,
     config: TrialConfig | None = ...,
     threads: int = ...,
-    batch_size: int | None = ...,
+    parallel_trials: int | None = ...,
 ) -> list[TrialResults]: ...
 
 
 def run_trials(
     scenes: Scene | Sequence[Scene],
     grasps: PlanarGrasp | Sequence[PlanarGrasp],
-    backend: str | Backend = "mujoco",
+    engine: str | Engine = DEFAULT_ENGINE,
     *,
-    impl: str = "auto",
     trials: int | None = None,
     gripper: Gripper | None = None,
     config: TrialConfig | None = None,
     threads: int = 1,
-    batch_size: int | None = None,
+    parallel_trials: int | None = None,
 ) -> TrialResults | list[TrialResults]:
     """Approach, close, lift, hold, and push the nominal trial's object out of the gripper.
 
     Args:
         scenes: The object at rest, or several such, of any objects; a scene's seed keys the pose
             noise.
-        grasps: n grasps, or as many records of them as there are scenes. On MJX the trials of all
-            scenes run side by side, which changes no trial's result.
-        backend: The engine: one of `BACKENDS`, `auto`, or one that `open_backend` opened.
-        impl: Of MJX: `warp`, `jax` or `auto`; see `choose`.
+        grasps: n grasps, or as many records of them as there are scenes. On a device the trials of
+            all scenes run side by side, which changes no trial's result.
+        engine: One of `ENGINES`, `auto`, or one that `open_engine` opened.
         trials: Trials a grasp, instead of the configuration's.
         gripper: The default one if not given.
         config: The protocol and its physics.
         threads: Of MuJoCo on the CPU; the results do not depend on it.
-        batch_size: Trials side by side on MJX; the device's memory decides if not given.
+        parallel_trials: Side by side on a device; its memory decides if not given.
 
     Returns:
         Results of the grasps; for several scenes a list of them, in their order.
 
     Raises:
-        UsageError: The backend is not known or not installed.
+        UsageError: The engine is not known or not installed.
         GraspError: A grasp is not finite, or wider than the gripper opens.
     """
-    if isinstance(backend, str):
-        engine = open_backend(backend, impl=impl, threads=threads, batch_size=batch_size)
-    else:
-        engine = backend
+    if isinstance(engine, str):
+        engine = open_engine(engine, threads=threads, parallel_trials=parallel_trials)
     gripper = load_gripper() if gripper is None else gripper
     config = TrialConfig() if config is None else config
     config = config if trials is None else replace(config, trials=trials)
@@ -155,7 +150,7 @@ def _results(
         opening=raw.opening[first],
         push_force=raw.push_force[first],
         push_force_is_lower_bound=raw.push_force_is_lower_bound[first],
-        backend=version,
+        engine=version,
         steps=raw.steps,
         step_seconds=raw.step_seconds,
         seconds=seconds,

@@ -18,7 +18,7 @@ from gmdx.machine.devices import cuda_devices
 from gmdx.pipeline import device as batched
 from gmdx.pipeline.annotate import Task
 from gmdx.pipeline.generate import GenerateConfig, generate
-from gmdx.trials.engines.parallel import MjxBackend
+from gmdx.trials.engines.parallel import ParallelEngine
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
 from tests.runs import assert_whole, contents, small_config, write_meshes
@@ -111,16 +111,16 @@ def test_an_object_whose_trials_cannot_be_run_costs_only_itself(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """The engine refuses one object of a batch, which otherwise runs for real."""
-    run = MjxBackend.run
+    run = ParallelEngine.run
 
     def refusing(
-        backend: MjxBackend, batches: list[TrialBatch], *, config: TrialConfig
+        backend: ParallelEngine, batches: list[TrialBatch], *, config: TrialConfig
     ) -> list[RawTrials]:
         if any(batch.object.object_id.startswith("box1") for batch in batches):
             raise SceneError("box1 is not to be simulated")
         return run(backend, batches, config=config)
 
-    monkeypatch.setattr(MjxBackend, "run", refusing)
+    monkeypatch.setattr(ParallelEngine, "run", refusing)
     with caplog.at_level(logging.WARNING, logger="gmdx"):
         summary = generate(meshes, tmp_path, _warp(cache))
     assert (summary.produced, summary.failed) == (2, 1)

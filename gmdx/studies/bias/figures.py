@@ -233,14 +233,14 @@ def draw_truth(study: "BiasStudy") -> "Figure":
     cases = list(dict.fromkeys((row.quantity, row.setting) for row in rows))
     figure = new_figure(DrawConfig(width=900, height=150 + 26 * len(cases)))
     axes = figure.subplots()
-    colors = {run.backend: COLORS[run.name] for run in reversed(study.runs[:2])}
+    colors = {run.engine: COLORS[run.name] for run in reversed(study.runs[:2])}
     colors |= {run.label: COLORS[run.name] for run in study.runs if run.name == "timestep"}
-    for backend, color in colors.items():
-        found = [r for r in rows if r.backend == backend]
+    for engine, color in colors.items():
+        found = [r for r in rows if r.engine == engine]
         places = [cases.index((r.quantity, r.setting)) for r in found]
-        main = backend in {run.backend for run in study.runs[:2]}
+        main = engine in {run.engine for run in study.runs[:2]}
         axes.plot([r.ratio for r in found], places, "o" if main else "|", color=color,
-                  markersize=6 if main else 11, mew=1 if main else 2, label=backend)  # fmt: skip
+                  markersize=6 if main else 11, mew=1 if main else 2, label=engine)  # fmt: skip
     axes.axvline(1, color="0.6", linewidth=0.8)
     axes.set_yticks(np.arange(len(cases)), [f"{q}, {s}" for q, s in cases], fontsize=9)
     axes.set_ylim(len(cases) - 0.5, -0.5)

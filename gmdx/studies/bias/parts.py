@@ -14,7 +14,7 @@ from gmdx.dataset.store import OutputError, writing
 from gmdx.files.formats import json_text, read_json, write_text
 from gmdx.machine.processes import Crash, run_tasks
 from gmdx.studies.bias.replay import Replay, replay
-from gmdx.trials.engines.registry import choose, engine_packages
+from gmdx.trials.engines.registry import ENGINES, choose
 
 STUDY_FILE, PARTS_FOLDER = "study.json", "parts"
 # Packages whose version can change a replay.
@@ -43,8 +43,8 @@ def begin(root: Path, header: Mapping[str, Any]) -> None:
         OutputError: The folder holds something else, or a study made otherwise.
         StorageError: The disk refused.
     """
-    engines = [choose(str(name)) for name in (header["backend"], header["reference"])]
-    own = dict.fromkeys(package for engine in engines for package in engine_packages(engine))
+    engines = [choose(str(name)) for name in (header["engine"], header["reference"])]
+    own = dict.fromkeys(package for engine in engines for package in ENGINES[engine].packages)
     packages = (*_PACKAGES, *own)
     versions = {"packages": {name: version(name) for name in packages}}
     text = json_text({**header, **versions})

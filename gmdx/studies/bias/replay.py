@@ -44,7 +44,7 @@ class Run:
 
     name: str  # what its columns end in
     label: str  # in tables and figures
-    backend: str
+    engine: str
     trial: TrialConfig
     seed_shift: int = 0  # added to the seed of the pose noise
     hulls: DecomposeConfig | None = None  # the surface is decomposed anew
@@ -95,7 +95,7 @@ def runs_of(dataset: Dataset, other: str, *, noise_floor: bool) -> tuple[Run, ..
         noise_floor: Whether to run it.
     """
     settings: dict[str, Any] = dataset.info["configuration"]
-    trial, own = merge(TrialConfig(), settings["trial"]), str(dataset.info["backend"])
+    trial, own = merge(TrialConfig(), settings["trial"]), str(dataset.info["engine"])
     pair = (Run("a", own, own, trial), Run("b", other, other, trial))
     if not noise_floor:
         return pair
@@ -160,7 +160,7 @@ def _scenes(task: Replay) -> list[pa.Table]:
         trials = run_trials(
             replace(scene, seed=scene.seed + run.seed_shift),
             grasps,
-            run.backend,
+            run.engine,
             gripper=task.gripper,
             config=run.trial,
         )
@@ -183,7 +183,7 @@ def _part(rows: pa.Table, scene: Scene, trials: TrialResults, metric: MetricConf
     columns["poses"] = list(poses.reshape(len(rows), -1))
     columns["tool"] = list(trials.tool_position.reshape(len(rows), -1))
     part = pa.table(columns)
-    return part.replace_schema_metadata({"backend": trials.backend})
+    return part.replace_schema_metadata({"engine": trials.engine})
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class RunParts:
     """All parts of one run: its rows, and the engine that it named."""
 
     rows: RunRows
-    backend: str  # name and version; "" where nothing ran
+    version: str  # of the engine, with its name; "" where nothing ran
 
 
 def read_parts(paths: Sequence[tuple[Path, int]], *, trials: int) -> RunParts:
@@ -205,7 +205,7 @@ def read_parts(paths: Sequence[tuple[Path, int]], *, trials: int) -> RunParts:
         DatasetError: A part is damaged.
     """
     found: list[RunRows] = []
-    backend = ""
+    version = ""
     for path, count in paths:
         if not path.is_file():
             found.append(_missing(count, trials))
@@ -216,9 +216,9 @@ def read_parts(paths: Sequence[tuple[Path, int]], *, trials: int) -> RunParts:
             raise DatasetError(
                 f"cannot read {path}: {error}; remove it and run the same command"
             ) from error
-        backend = (table.schema.metadata or {}).get(b"backend", b"").decode()
+        version = (table.schema.metadata or {}).get(b"engine", b"").decode()
         found.append(_rows(table))
-    return RunParts(_joined(found), backend)
+    return RunParts(_joined(found), version)
 
 
 def _rows(table: pa.Table) -> RunRows:

@@ -101,7 +101,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], *, words: int = 1
 
 def _runs(study: "BiasStudy") -> str:
     rows = [
-        [run.name, run.label, study.backends[run.name], f"{study.rows[run.name].present.sum()}",
+        [run.name, run.label, study.versions[run.name], f"{study.rows[run.name].present.sum()}",
          f"{1e3 * run.trial.physics.timestep:g}", f"{run.trial.trials}"]
         for run in study.runs
     ]  # fmt: skip
@@ -246,22 +246,22 @@ def _largest(values: Sequence[float]) -> float:
 
 
 def _truth(study: "BiasStudy") -> str:
-    backends = list(dict.fromkeys(row.backend for row in study.truth))
+    engines = list(dict.fromkeys(row.engine for row in study.truth))
     by_case: dict[tuple[str, str], dict[str, str]] = {}
     expected: dict[tuple[str, str], tuple[float, str]] = {}
     for row in study.truth:
         case = (row.quantity, row.setting)
         expected[case] = (row.expected, row.unit)
-        by_case.setdefault(case, {})[row.backend] = number(row.measured)
-        by_case[case][f"{row.backend} error"] = number(row.error)
+        by_case.setdefault(case, {})[row.engine] = number(row.measured)
+        by_case[case][f"{row.engine} error"] = number(row.error)
     rows = [
         [*case, expected[case][1] if expected[case][1] else "1 held, 0 lost",
-         number(expected[case][0]), *(found[b] for b in backends),
-         *(found[f"{b} error"] for b in backends)]
+         number(expected[case][0]), *(found[name] for name in engines),
+         *(found[f"{name} error"] for name in engines)]
         for case, found in by_case.items()
     ]  # fmt: skip
-    head = ["quantity", "setting", "unit", "closed form", *backends,
-            *(f"error of {backend}" for backend in backends)]  # fmt: skip
+    head = ["quantity", "setting", "unit", "closed form", *engines,
+            *(f"error of {engine}" for engine in engines)]  # fmt: skip
     return _table(head, rows, words=3)
 
 

@@ -28,7 +28,7 @@ class BiasConfig:
     objects: int | None = None  # chosen by the seed; None: all of the dataset
     grasps: int | None = 32  # of each object, chosen by the seed; None: all
     seed: int = 0  # of the choice and of the resampling
-    backend: str = "bullet"  # the second engine
+    engine: str = "bullet"  # the second engine
     noise_floor: bool = True  # also run the dataset's engine against itself
     truth: bool = True  # also compare both engines with closed forms
     thresholds: tuple[float, ...] = (0.6, 0.8, 1.0)  # of the success share, for labels
@@ -69,7 +69,7 @@ class BiasStudy:
     config: BiasConfig
     choice: Choice
     runs: tuple[Run, ...]
-    backends: Mapping[str, str]  # by run: the engine's name and version
+    versions: Mapping[str, str]  # by run: the engine's name and version
     rows: Mapping[str, RunRows]  # by run
     engines: Comparison  # the second engine against the first
     floor: tuple[Comparison, ...]  # the first engine against itself, a way each
@@ -91,7 +91,7 @@ class BiasStudy:
             "objects": list(self.choice.objects),
             "grasps": int(sum(len(rows) for rows in self.choice.rows)),
             "runs": [
-                {"name": run.name, "label": run.label, "backend": self.backends[run.name]}
+                {"name": run.name, "label": run.label, "engine": self.versions[run.name]}
                 for run in self.runs
             ],
             "engines": asdict(self.engines),

@@ -33,8 +33,8 @@ from gmdx.studies.bias.parts import PARTS_FOLDER, ReplayProgress, begin, put, ru
 from gmdx.studies.bias.replay import Replay, Run, read_parts, runs_of
 from gmdx.studies.bias.result import BiasConfig, BiasStudy, Choice
 from gmdx.studies.engines.truth import TruthRow, truth_table
-from gmdx.trials.engines.registry import choose as choose_backend
-from gmdx.trials.engines.registry import open_backend
+from gmdx.trials.engines.registry import choose as choose_engine
+from gmdx.trials.engines.registry import open_engine
 
 if TYPE_CHECKING:
     pass
@@ -67,18 +67,18 @@ def bias_study(
     config = BiasConfig() if config is None else config
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(dataset)
     gripper = _its_gripper(dataset, gripper)
-    config = replace(config, backend=str(choose_backend(config.backend)))
-    runs = runs_of(dataset, config.backend, noise_floor=config.noise_floor)
-    for backend in {run.backend for run in runs}:
-        open_backend(backend)  # refused before anything is run
+    config = replace(config, engine=choose_engine(config.engine))
+    runs = runs_of(dataset, config.engine, noise_floor=config.noise_floor)
+    for engine in {run.engine for run in runs}:
+        open_engine(engine)  # refused before anything is run
     choice = choose(dataset, config)
     root = Path(out)
     begin(
         root,
         {
             "dataset": content_hash(dataset.root / DATASET_FILE),
-            "backend": config.backend,
-            "reference": dataset.info["backend"],
+            "engine": config.engine,
+            "reference": dataset.info["engine"],
             "seed": config.seed,
             "gripper": gripper_record(gripper)["sha256"],
             "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
@@ -131,7 +131,7 @@ def bias_study(
         config=config,
         choice=choice,
         runs=runs,
-        backends={name: part.backend for name, part in parts.items()},
+        versions={name: part.version for name, part in parts.items()},
         rows=rows,
         engines=comparisons[0],
         floor=tuple(comparisons[1:]),
@@ -147,12 +147,12 @@ def bias_study(
 def _truth(runs: tuple[Run, ...], gripper: Gripper) -> tuple[TruthRow, ...]:
     """The closed forms on both engines, and on the floor's finer steps."""
     own, other = runs[:2]
-    backends = tuple(dict.fromkeys((own.backend, other.backend)))
-    rows = truth_table(backends, gripper=gripper, config=own.trial)
+    engines = tuple(dict.fromkeys((own.engine, other.engine)))
+    rows = truth_table(engines, gripper=gripper, config=own.trial)
     finer = [run for run in runs if run.name == "timestep"]
     for run in finer:
-        found = truth_table((run.backend,), gripper=gripper, config=run.trial)
-        rows += tuple(replace(row, backend=run.label) for row in found)
+        found = truth_table((run.engine,), gripper=gripper, config=run.trial)
+        rows += tuple(replace(row, engine=run.label) for row in found)
     return rows
 
 

@@ -28,8 +28,7 @@ from gmdx.trials.results import TrialResults
 
 LIMITS: Mapping[str, ParityLimits] = MappingProxyType(
     {
-        "mjx-warp": ParityLimits(outcomes=0.98, length=1e-4, angle=1e-3, force=0.02),
-        "mjx-jax": ParityLimits(outcomes=0.95),
+        "warp": ParityLimits(outcomes=0.98, length=1e-4, angle=1e-3, force=0.02),
     }
 )
 
@@ -38,7 +37,7 @@ LIMITS: Mapping[str, ParityLimits] = MappingProxyType(
 class Measured:
     """What one engine gave for n grasps of some objects, with t trials each."""
 
-    engine: str  # with version and device
+    version: str  # of the engine, with its device
     objects: tuple[str, ...]
     object: Int[Array, "n"]  # of each grasp: index into `objects`
     grasp_id: Int[Array, "n"]
@@ -73,7 +72,7 @@ def measure(
     ids = [scene.object.object_id for scene in scenes]
     objects = tuple(dict.fromkeys(ids))
     return Measured(
-        engine=results[0].backend,
+        version=results[0].engine,
         objects=objects,
         object=np.repeat([objects.index(one) for one in ids], [len(table) for table in tables]),
         grasp_id=np.concatenate([result.grasp_id for result in results]),
@@ -87,7 +86,7 @@ def measure(
 
 
 def compare_trials(
-    reference: Measured, other: Measured, *, backend: str, limits: ParityLimits | None = None
+    reference: Measured, other: Measured, *, engine: str, limits: ParityLimits | None = None
 ) -> EngineParity:
     """One engine against the reference, trial by trial and grasp by grasp.
 
@@ -97,7 +96,7 @@ def compare_trials(
     Args:
         reference: What the reference gave.
         other: What the engine gave for the same grasps.
-        backend: The engine's short name.
+        engine: The engine's short name.
         limits: What it must keep to.
 
     Raises:
@@ -118,9 +117,9 @@ def compare_trials(
     pushed_out = (force > 0) & (other_force > 0) & ~bounds
     scale = np.where(pushed_out, force, np.nan)
     return EngineParity(
-        backend=backend,
-        engine=other.engine,
-        reference=reference.engine,
+        engine=engine,
+        version=other.version,
+        reference=reference.version,
         grasps=len(a),
         outcomes=labels,
         agreement=Share(value, low, high),
@@ -183,8 +182,8 @@ def _refuse_others(reference: Measured, other: Measured) -> None:
     )
     if not same:
         raise UsageError(
-            f"{reference.engine} ran {reference.outcomes.shape} grasps and trials, {other.engine} "
-            f"{other.outcomes.shape}, or other ones: compare the same grasps in both"
+            f"{reference.version} ran {reference.outcomes.shape} grasps and trials, "
+            f"{other.version} {other.outcomes.shape}, or other ones: compare the same grasps in both"
         )
 
 

@@ -84,8 +84,8 @@ class ObjectParity:
 class EngineParity:
     """One engine against the reference."""
 
-    backend: str
     engine: str
+    version: str
     reference: str
     grasps: int
     outcomes: LabelAgreement  # of all trials; rows are the reference's, by value of `Outcome`

@@ -37,9 +37,9 @@ NUDGE = 1e-6  # m, that objects are moved by to see what a small change comes to
 class _Task:
     """Trials to run in one call, on an engine, and how."""
 
-    backend: str
+    engine: str
     threads: int
-    batch_size: int | None
+    parallel_trials: int | None
     scenes: Sequence[Scene]
     grasps: Sequence[PlanarGrasp]
     gripper: Gripper
@@ -51,27 +51,27 @@ class _Task:
 
 
 def _run(task: _Task) -> list[TrialResults]:
-    _LOG.info("%s: %d trials", task.backend, task.trials)
+    _LOG.info("%s: %d trials", task.engine, task.trials)
     return run_trials(
         task.scenes,
         task.grasps,
-        task.backend,
+        task.engine,
         gripper=task.gripper,
         config=task.config,
         threads=task.threads,
-        batch_size=task.batch_size,
+        parallel_trials=task.parallel_trials,
     )
 
 
 def parity_figures(
     scenes: Sequence[Scene],
     *,
-    backends: Sequence[str],
+    engines: Sequence[str],
     grasps: int,
     gripper: Gripper,
     config: TrialConfig | None = None,
     threads: int = 1,
-    batch_size: int | None = None,
+    parallel_trials: int | None = None,
     floor: bool = True,
     isolated: bool = False,
     on_progress: Callable[[RunProgress], None] | None = None,
@@ -82,12 +82,12 @@ def parity_figures(
 
     Args:
         scenes: Objects at rest.
-        backends: Names of engines; those of `LIMITS` are held to them.
+        engines: Names; those of `LIMITS` are held to them.
         grasps: How many of each object, each with the trials that `config` says.
         gripper: What grasps.
         config: Of the trials.
         threads: Of MuJoCo on the CPU; no result depends on it.
-        batch_size: Trials side by side on MJX; no result may depend on it.
+        parallel_trials: Side by side on a device; no result may depend on it.
         floor: Also run the reference with every object moved by `NUDGE`, to see how much of a
             difference says nothing about an engine.
         isolated: Each engine in a process of its own; False stays in this process.
@@ -98,16 +98,18 @@ def parity_figures(
         GmdxError: The grasps could not be sampled, or the reference could not be run.
     """
     refuse_less_than_one(
-        grasps=grasps, threads=threads, batch_size=1 if batch_size is None else batch_size
+        grasps=grasps,
+        threads=threads,
+        parallel_trials=1 if parallel_trials is None else parallel_trials,
     )
-    engines = choose_all(backends)
-    refuse_idle_sizes(engines, [] if batch_size is None else [batch_size])
+    chosen = choose_all(engines)
+    refuse_idle_sizes(chosen, [] if parallel_trials is None else [parallel_trials])
     config = TrialConfig() if config is None else config
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
-    follower = Follower(1 + floor + len(engines), on_progress)
+    follower = Follower(1 + floor + len(chosen), on_progress)
 
     def run(name: str, at: Sequence[Scene], label: str) -> Measured | RunFailure:
-        task = _Task(name, threads, batch_size, at, batches, gripper, config)
+        task = _Task(name, threads, parallel_trials, at, batches, gripper, config)
         results = run_apart(_run, task, label=label, isolated=isolated)
         if isinstance(results, RunFailure):
             follower.ran(label, 0)
@@ -127,16 +129,16 @@ def parity_figures(
         if isinstance(other, RunFailure):
             failures.append(other)
         else:
-            nudged = compare_trials(reference, other, backend=label)
-    for name in map(str, engines):
+            nudged = compare_trials(reference, other, engine=label)
+    for name in chosen:
         other = run(name, scenes, name)
         if isinstance(other, RunFailure):
             failures.append(other)
         else:
-            found.append(compare_trials(reference, other, backend=name, limits=LIMITS.get(name)))
+            found.append(compare_trials(reference, other, engine=name, limits=LIMITS.get(name)))
     return ParityFigures(
         machine=machine(),
-        reference=reference.engine,
+        reference=reference.version,
         objects=reference.objects,
         grasps=len(reference.object),
         nudge=NUDGE,

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from gmdx.errors import GmdxError, UsageError
 from gmdx.machine.processes import Crash, run_tasks
-from gmdx.trials.engines.registry import Chosen, choose, open_backend
+from gmdx.trials.engines.registry import ENGINES, choose, open_engine
 
 _LOG = logging.getLogger("gmdx")
 
@@ -21,7 +21,7 @@ class RunProgress:
     """Where a comparison of engines stands."""
 
     label: str  # of what finished last; "" at the start
-    done: int  # engines; one with several batch sizes counts as several
+    done: int  # engines; one with several numbers of parallel trials counts as several
     total: int
     trials: int  # run by now
 
@@ -88,28 +88,28 @@ def run_apart(
     return result
 
 
-def choose_all(backends: Sequence[str]) -> list[Chosen]:
+def choose_all(engines: Sequence[str]) -> list[str]:
     """Engines by their names, each of them installed.
 
     Raises:
         UsageError: One is not known or not installed, or there is none.
     """
-    if not backends:
-        raise UsageError("give at least one backend")
-    for name in backends:
-        open_backend(name)
-    return [choose(name) for name in backends]
+    if not engines:
+        raise UsageError("give at least one engine")
+    for name in engines:
+        open_engine(name)
+    return [choose(name) for name in engines]
 
 
-def refuse_idle_sizes(engines: Sequence[Chosen], batch_sizes: Sequence[int]) -> None:
-    """Refuse batch sizes where no engine takes any.
+def refuse_idle_sizes(engines: Sequence[str], sizes: Sequence[int]) -> None:
+    """Refuse numbers of parallel trials where no engine takes any.
 
     Raises:
         UsageError: Naming the engines.
     """
-    if batch_sizes and all(chosen.impl is None for chosen in engines):
-        names = ", ".join(map(str, engines))
-        raise UsageError(f"batch sizes are for mjx-warp and mjx-jax, and not for {names}")
+    if sizes and not any(ENGINES[name].parallel for name in engines):
+        parallel = " and ".join(name for name, entry in ENGINES.items() if entry.parallel)
+        raise UsageError(f"parallel trials are for {parallel}, and not for {', '.join(engines)}")
 
 
 def refuse_less_than_one(**counts: int) -> None:

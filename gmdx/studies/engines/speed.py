@@ -25,7 +25,8 @@ from gmdx.studies.engines.runs import (
     refuse_less_than_one,
     run_apart,
 )
-from gmdx.trials.engines.registry import Backend, Chosen, open_backend
+from gmdx.trials.engines.engine import Engine
+from gmdx.trials.engines.registry import DEFAULT_ENGINE, ENGINES, open_engine
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
@@ -38,10 +39,10 @@ _LOG = logging.getLogger("gmdx")
 class TrialFigures:
     """What the trials took on one engine, run again after what is paid only once."""
 
-    backend: str
-    batch_size: int | None  # trials side by side, of MJX; None: by the device's memory
+    engine: str
+    parallel_trials: int | None  # side by side on a device; None: by its memory
     threads: int | None  # of MuJoCo on the CPU
-    engine: str  # with versions and device, as datasets record it
+    version: str  # with the device, as datasets record it
     trials: int
     steps: int  # of the engine, over all trials
     first_seconds: float  # the very first run here, compiling included
@@ -92,8 +93,8 @@ class TrialSpeed:
 class _Case:
     """Trials to run in one call, on an engine, and how."""
 
-    chosen: Chosen
-    batch_size: int | None
+    engine: str
+    parallel_trials: int | None
     threads: int
     scenes: Sequence[Scene]
     grasps: Sequence[PlanarGrasp]
@@ -102,16 +103,17 @@ class _Case:
 
     @property
     def label(self) -> str:
-        return f"{self.chosen}" if self.batch_size is None else f"{self.chosen} x {self.batch_size}"
+        size = self.parallel_trials
+        return self.engine if size is None else f"{self.engine} x {size}"
 
     @property
     def trials(self) -> int:
         return sum(map(len, self.grasps)) * self.config.trials
 
-    def open(self) -> Backend:
-        return open_backend(str(self.chosen), threads=self.threads, batch_size=self.batch_size)
+    def open(self) -> Engine:
+        return open_engine(self.engine, threads=self.threads, parallel_trials=self.parallel_trials)
 
-    def run(self, engine: Backend) -> list[TrialResults]:
+    def run(self, engine: Engine) -> list[TrialResults]:
         return run_trials(
             self.scenes, self.grasps, engine, gripper=self.gripper, config=self.config
         )
@@ -123,8 +125,8 @@ def trial_figures(
     grasps: int,
     gripper: Gripper,
     config: TrialConfig | None = None,
-    backends: Sequence[str] = ("mujoco",),
-    batch_sizes: Sequence[int] = (),
+    engines: Sequence[str] = (DEFAULT_ENGINE,),
+    parallel_trials: Sequence[int] = (),
     threads: int = 1,
     isolated: bool = False,
     on_progress: Callable[[RunProgress], None] | None = None,
@@ -138,8 +140,8 @@ def trial_figures(
         grasps: How many of each object, each with the trials that `config` says.
         gripper: What grasps.
         config: Of the trials.
-        backends: Names of engines; the first is what the others are compared with.
-        batch_sizes: Trials side by side on MJX, a row of figures each, the smallest first; none:
+        engines: Names; the first is what the others are compared with.
+        parallel_trials: Side by side on a device, a row of figures each, the smallest first; none:
             what the device's memory allows.
         threads: Of MuJoCo on the CPU.
         isolated: Each row in a process of its own, so that what one engine compiled or holds in
@@ -148,19 +150,21 @@ def trial_figures(
 
     Raises:
         UsageError: An engine is not known or not installed, a number is not positive, or there
-            are batch sizes but no engine that takes them.
+            are parallel trials but no engine that takes them.
         GmdxError: The grasps could not be sampled.
     """
-    refuse_less_than_one(grasps=grasps, threads=threads, batch_size=min(batch_sizes, default=1))
-    engines = choose_all(backends)
-    refuse_idle_sizes(engines, batch_sizes)
+    refuse_less_than_one(
+        grasps=grasps, threads=threads, parallel_trials=min(parallel_trials, default=1)
+    )
+    chosen = choose_all(engines)
+    refuse_idle_sizes(chosen, parallel_trials)
     batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
     config = TrialConfig() if config is None else config
-    sizes: list[int | None] = [*sorted(set(batch_sizes))] if batch_sizes else [None]
+    sizes: list[int | None] = [*sorted(set(parallel_trials))] if parallel_trials else [None]
     cases = [
-        _Case(chosen, size, threads, scenes, batches, gripper, config)
-        for chosen in engines
-        for size in (sizes if chosen.impl is not None else [None])
+        _Case(engine, size, threads, scenes, batches, gripper, config)
+        for engine in chosen
+        for size in (sizes if ENGINES[engine].parallel else [None])
     ]
     follower = Follower(len(cases), on_progress)
     found: list[TrialFigures] = []
@@ -189,7 +193,7 @@ def trial_figures(
 
 def _measure(case: _Case) -> TrialFigures:
     """Two runs on one engine."""
-    before = compilations(case.chosen)
+    before = compilations(case.engine)
     engine = case.open()
     _LOG.info("%s: %d trials, the first time", case.label, case.trials)
     start = time.perf_counter()
@@ -197,21 +201,21 @@ def _measure(case: _Case) -> TrialFigures:
     first_seconds = time.perf_counter() - start
     _LOG.info("%s: that took %.1f s; the same again, timed", case.label, first_seconds)
 
-    between = compilations(case.chosen)
+    between = compilations(case.engine)
     start, processor_start = time.perf_counter(), time.process_time()
     results = case.run(engine)
     seconds, processor_seconds = time.perf_counter() - start, time.process_time() - processor_start
 
-    after = compilations(case.chosen)
+    after = compilations(case.engine)
     made = again = None
     if before is not None and between is not None and after is not None:
         made, again = between.since(before), after.since(between)
     outcomes = np.concatenate([result.outcome.ravel() for result in results])
     return TrialFigures(
-        backend=str(case.chosen),
-        batch_size=case.batch_size,
-        threads=case.threads if case.chosen.backend == "mujoco" else None,
-        engine=results[0].backend,
+        engine=case.engine,
+        parallel_trials=case.parallel_trials,
+        threads=case.threads if case.engine == DEFAULT_ENGINE else None,
+        version=results[0].engine,
         trials=len(outcomes),
         steps=sum(result.steps for result in results),
         first_seconds=first_seconds,
@@ -221,7 +225,7 @@ def _measure(case: _Case) -> TrialFigures:
         seconds=seconds,
         processor_seconds=processor_seconds,
         step_seconds=sum(result.step_seconds for result in results),
-        device_bytes=peak_device_memory(case.chosen),
+        device_bytes=peak_device_memory(case.engine),
         success=float((outcomes == Outcome.SUCCESS).mean()),
         failed=int(Outcome.is_failure(outcomes).sum()),
     )

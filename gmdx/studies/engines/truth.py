@@ -43,7 +43,7 @@ class TruthRow:
 
     quantity: str
     setting: str
-    backend: str
+    engine: str
     expected: float
     measured: float  # NaN where the trial did not come that far
     unit: str  # "" for 1 held, 0 lost
@@ -74,7 +74,7 @@ class _Case:
 
 
 def truth_table(
-    backends: Sequence[str],
+    engines: Sequence[str],
     *,
     gripper: Gripper | None = None,
     config: TrialConfig | None = None,
@@ -82,7 +82,7 @@ def truth_table(
     """Every closed form on every engine; those too wide for the gripper are left out.
 
     Args:
-        backends: Names of engines.
+        engines: Names.
         gripper: The default one if not given.
         config: The physics and the protocol; directions, ramps and times are the cases' own.
 
@@ -105,11 +105,11 @@ def truth_table(
             np.array([0.0]),
             np.array([case.width]),
         )
-        for backend in backends:
-            trials = run_trials(scene, grasp, backend, gripper=gripper, config=case.config)
+        for engine in engines:
+            trials = run_trials(scene, grasp, engine, gripper=gripper, config=case.config)
             measured = _measured(case, trials)
             rows.append(
-                TruthRow(case.quantity, case.setting, backend, case.expected, measured, case.unit)
+                TruthRow(case.quantity, case.setting, engine, case.expected, measured, case.unit)
             )
     return tuple(rows)
 

@@ -15,15 +15,15 @@ from gmdx.arrays import Array, Float, Int
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.layout import GraspModel
 from gmdx.scenes.warnings import quiet_warnings
-from gmdx.trials.engines.engine import ModelLayout, chunk_result
 from gmdx.trials.execute import Execution
 from gmdx.trials.observations import ChunkResult
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.stepper import ModelLayout, chunk_result
 
 
 @dataclass(frozen=True)
-class MujocoBackend:
+class MujocoEngine:
     """C MuJoCo on the CPU."""
 
     threads: int = 1
@@ -39,13 +39,13 @@ class MujocoBackend:
         for batch in batches:
             scene = grasp_model(batch.object, batch.gripper, config.physics)
             with quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
-                trials = Execution(_Engine(scene, pool, self.threads), [batch], config)
+                trials = Execution(_Stepper(scene, pool, self.threads), [batch], config)
                 trials.run([batch.schedule(config)])
             found += trials.results()
         return found
 
 
-class _Engine(ModelLayout):
+class _Stepper(ModelLayout):
     """Rollouts of one model; a rollout freezes at MuJoCo's first warning."""
 
     def __init__(self, scene: GraspModel, pool: rollout.Rollout, threads: int) -> None:

@@ -1,4 +1,4 @@
-"""Trials in batches on accelerators, many objects at once: MJX's Warp, or a step in JAX.
+"""Trials side by side on a device, many objects at once.
 
 An implementation steps a bounded number of trials side by side for one chunk of the schedule and
 hands back what was observed; the outcome rules are those of `execute` on every engine. Between
@@ -11,20 +11,20 @@ import logging
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, cast, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import DeviceMemoryError, UsageError
-from gmdx.machine.devices import has_accelerator
+from gmdx.machine.devices import cuda_devices
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.layout import GraspModel
-from gmdx.trials.engines.engine import ModelLayout
 from gmdx.trials.execute import Execution
 from gmdx.trials.observations import ChunkResult, joined
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.stepper import ModelLayout
 
 _LOG = logging.getLogger("gmdx")
 
@@ -88,58 +88,38 @@ class Implementation(Protocol):
         ...
 
 
-def _implementation(name: str) -> Implementation:
-    """The module of an implementation.
-
-    Raises:
-        UsageError: What it needs is not installed.
-    """
-    try:
-        if name == "warp":
-            from gmdx.trials.engines.warp import worlds
-
-            return cast(Implementation, worlds)
-        raise UsageError(f"engine 'mjx' has no implementation {name!r}; it has warp")
-    except ModuleNotFoundError as error:
-        parts = str(error.name).split(".")
-        missing = {"warp": "warp-lang", "mujoco": "mujoco-mjx"}.get(parts[0], parts[0])
-        raise UsageError(
-            f"backend 'mjx' with implementation '{name}' needs {missing}: pip install 'gmdx[mjx]'"
-        ) from error
-
-
 class Cancelled(Exception):  # noqa: N818, it is no error
     """Another thread has ended this run."""
 
 
-class MjxBackend:
+class ParallelEngine:
     """Batched trials on the devices that an implementation finds."""
 
-    def __init__(self, impl: str, *, batch_size: int | None = None) -> None:
-        """Look up the implementation.
+    def __init__(
+        self, name: str, implementation: Implementation, *, parallel_trials: int | None = None
+    ) -> None:
+        """Take an implementation as it is.
 
         Args:
-            impl: `warp` or `jax`.
-            batch_size: Trials side by side; None lets the device's memory decide.
-
-        Raises:
-            UsageError: What the implementation needs is not installed.
+            name: The engine's, for records.
+            implementation: The module that computes.
+            parallel_trials: Trials side by side; None lets the device's memory decide.
         """
-        self.impl, self.batch_size = impl, batch_size
-        self.implementation = _implementation(impl)
+        self.name, self.implementation = name, implementation
+        self.parallel_trials = parallel_trials
         self._cancelled = threading.Event()
 
     @property
     def version(self) -> str:
-        """Implementation, versions and device."""
-        return f"mjx-{self.impl} ({self.implementation.device()})"
+        """Name, versions and device."""
+        return f"{self.name} ({self.implementation.device()})"
 
     @property
     def wanted_trials(self) -> int:
         """How many trials at once keep the device at work."""
-        if self.batch_size is not None:
-            return self.batch_size
-        return _CAPACITIES[-1] if has_accelerator() else _CPU_CAPACITY
+        if self.parallel_trials is not None:
+            return self.parallel_trials
+        return _CAPACITIES[-1] if cuda_devices() > 0 else _CPU_CAPACITY
 
     def cancel(self) -> None:
         """End a run that is under way in another thread at its next chunk of steps."""
@@ -158,13 +138,13 @@ class MjxBackend:
         """Run every trial to its named end; a batch's results do not depend on the others."""
         results: list[RawTrials | None] = [None] * len(batches)
         for group in self._groups(batches, config):
-            engine = _Engine(self, group.models, group.index(batches), config)
+            stepper = _Stepper(self, group.models, group.index(batches), config)
             chosen = [batches[number] for number in group.numbers]
-            trials = Execution(engine, chosen, config)
+            trials = Execution(stepper, chosen, config)
             trials.run([batch.schedule(config) for batch in chosen])
             for number, found in zip(group.numbers, trials.results(), strict=True):
                 results[number] = found
-            del engine, trials  # the next group needs the device's memory
+            del stepper, trials  # the next group needs the device's memory
         return [found for found in results if found is not None]
 
     def _groups(self, batches: Sequence[TrialBatch], config: TrialConfig) -> list["_Group"]:
@@ -203,19 +183,19 @@ class _Group:
         return np.repeat(self.positions, [len(batches[number]) for number in self.numbers])
 
 
-class _Engine(ModelLayout):
+class _Stepper(ModelLayout):
     """Cuts trials into batches that fit, and puts the results together."""
 
     def __init__(
         self,
-        backend: MjxBackend,
+        engine: ParallelEngine,
         models: Sequence[GraspModel],
         index: Int[Array, "m"],
         config: TrialConfig,
     ) -> None:
-        self.backend, self.models, self.index, self.config = backend, models, index, config
+        self.engine, self.models, self.index, self.config = engine, models, index, config
         self.scene = models[0]  # all lie alike
-        self.capacity = _capacity(backend, models, len(index))
+        self.capacity = _capacity(engine, models, len(index))
         self.worlds = self._open()
 
     def step(
@@ -252,7 +232,7 @@ class _Engine(ModelLayout):
         for start in range(0, len(index), self.capacity):
             if len(waiting) == self.worlds.lanes:
                 found.append(waiting.pop(0)())
-            self.backend.check_cancelled()
+            self.engine.check_cancelled()
             part = slice(start, start + self.capacity)
             arrays = index[part], state[part], control[part]
             waiting.append(self.worlds.launch(*arrays, force, count[part]))
@@ -262,7 +242,7 @@ class _Engine(ModelLayout):
         while True:
             gc.collect()  # what a failure leaves in cycles may hold a device's memory
             try:
-                return self.backend.implementation.open_worlds(
+                return self.engine.implementation.open_worlds(
                     self.models, capacity=self.capacity, config=self.config
                 )
             except DeviceMemoryError as error:
@@ -275,11 +255,11 @@ class _Engine(ModelLayout):
         _LOG.warning("%s; going on with %d trials side by side", str(error), self.capacity)
 
 
-def _capacity(backend: MjxBackend, models: Sequence[GraspModel], trials: int) -> int:
+def _capacity(engine: ParallelEngine, models: Sequence[GraspModel], trials: int) -> int:
     """Trials side by side: what was asked for or what memory allows, not more than there are."""
-    most = backend.batch_size
+    most = engine.parallel_trials
     if most is None:
-        room = backend.implementation.suggested_capacity(models)
+        room = engine.implementation.suggested_capacity(models)
         room = _CPU_CAPACITY if room is None else room
         # Of the few sizes, as free memory is never twice the same.
         most = max((size for size in _CAPACITIES if size <= room), default=room)

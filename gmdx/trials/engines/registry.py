@@ -1,109 +1,100 @@
-"""The engines by name."""
+"""The engines by name: a row of the table says all that the rest of gmdx knows of one."""
 
 import contextlib
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from gmdx.errors import ConfigError, UsageError
-from gmdx.machine.devices import has_accelerator, warp_fits
-from gmdx.trials.placement import RawTrials, TrialBatch
-from gmdx.trials.protocol import TrialConfig
+from gmdx.machine.devices import cuda_devices, installed
+from gmdx.trials.engines.engine import Engine
+
+AUTO, DEFAULT_ENGINE = "auto", "mujoco"
 
 _LOG = logging.getLogger("gmdx")
 
 
-@runtime_checkable
-class Backend(Protocol):
-    """An engine that runs the schedule of `protocol` on batches of trials."""
+@dataclass(frozen=True)
+class EngineOptions:
+    """What may be said of how an engine runs; no result depends on it."""
 
-    @property
-    def version(self) -> str:
-        """The engine's name and version, as datasets record it."""
-        ...
-
-    def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
-        """Run every trial to its named end; a batch's results do not depend on the others."""
-        ...
+    threads: int = 1  # of those that compute on the CPU
+    parallel_trials: int | None = None  # side by side on a device; None: what its memory allows
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """A backend by name, with nothing left open."""
+class EngineEntry:
+    """An engine that can be named."""
 
-    backend: str  # of `BACKENDS`
-    impl: str | None = None  # of `IMPLEMENTATIONS`, where the backend has more than one
-
-    def __str__(self) -> str:
-        return self.backend if self.impl is None else f"{self.backend}-{self.impl}"
-
-
-BACKENDS = ("mujoco", "mjx", "bullet")
+    open: Callable[[EngineOptions], Engine]
+    parallel: bool = False  # the trials of many objects run side by side on a device
+    packages: tuple[str, ...] = ()  # that it rests on, besides MuJoCo
+    needs: Mapping[str, str] = field(default_factory=dict)  # package to install, by module
+    install: str = ""  # what to say of installing it
 
 
-IMPLEMENTATIONS = ("warp", "jax")  # of mjx
+def choose(name: str) -> str:
+    """The engine that a name, or `auto`, stands for on this machine.
 
-
-def choose(backend: str, impl: str = "auto") -> Chosen:
-    """What a backend's name, or `auto`, stands for on this machine.
-
-    `auto` is MJX where there is an accelerator, and MuJoCo on the CPU otherwise; of MJX's
-    implementations it is Warp on NVIDIA's devices, JAX on other accelerators, and on a plain CPU
-    Warp where it is installed. `mjx-warp` and `mjx-jax` name both at once.
+    `auto` is Warp where there is an NVIDIA device and Warp is installed, and MuJoCo elsewhere.
 
     Raises:
-        ConfigError: A name is not known.
+        ConfigError: The name is not known.
     """
-    known = ("auto", *BACKENDS, *(f"mjx-{name}" for name in IMPLEMENTATIONS))
-    if backend not in known:
-        raise ConfigError(f"unknown backend {backend!r}; give one of {', '.join(known)}")
-    if impl not in ("auto", *IMPLEMENTATIONS):
-        names = ", ".join(("auto", *IMPLEMENTATIONS))
-        raise ConfigError(f"unknown implementation {impl!r} of backend 'mjx'; give one of {names}")
-    family, _, part = backend.partition("-")
-    if impl != "auto" and (family in ("mujoco", "bullet") or (part and part != impl)):
-        raise ConfigError(f"implementation {impl!r} is of backend 'mjx', not of {backend!r}")
-    if part:
-        backend, impl = family, part
-    if backend not in ("auto", "mjx") or (backend == "auto" and not has_accelerator()):
-        return Chosen("mujoco" if backend == "auto" else backend)
-    if impl == "auto":
-        impl = "warp" if warp_fits() else "jax"
-    return Chosen("mjx", impl)
+    if name not in (AUTO, *ENGINES):
+        raise ConfigError(f"unknown engine {name!r}; give one of {', '.join((AUTO, *ENGINES))}")
+    if name != AUTO:
+        return name
+    return "warp" if cuda_devices() > 0 and installed("mujoco.mjx") else DEFAULT_ENGINE
 
 
-def engine_packages(chosen: Chosen) -> tuple[str, ...]:
-    """Packages that an engine rests on, besides C MuJoCo."""
-    packages = {
-        "bullet": ("pybullet",),
-        "mjx-warp": ("mujoco-mjx", "warp-lang"),
-        "mjx-jax": ("jax", "jaxlib"),
-    }
-    return packages.get(str(chosen), ())
+def open_engine(name: str, *, threads: int = 1, parallel_trials: int | None = None) -> Engine:
+    """An engine by its name.
 
+    Args:
+        name: One of `ENGINES`, or `auto`; see `choose`.
+        threads: Of MuJoCo on the CPU.
+        parallel_trials: Trials side by side on a device; its memory decides if not given.
 
-def _mujoco(threads: int) -> Backend:
-    from gmdx.trials.engines.mujoco import MujocoBackend
-
-    return MujocoBackend(threads=threads)
-
-
-def _bullet() -> Backend:
+    Raises:
+        UsageError: The name is not known, or what the engine needs is not installed.
+    """
+    chosen = choose(name)
+    if name == AUTO:
+        _LOG.info("engine auto: %s runs the trials", chosen)
+    entry = ENGINES[chosen]
     try:
-        with _without_banner():
-            from gmdx.trials.engines.bullet.engine import BulletBackend
+        return entry.open(EngineOptions(threads, parallel_trials))
     except ModuleNotFoundError as error:
-        if error.name != "pybullet":
+        missing = str(error.name).split(".")[0]
+        if missing not in entry.needs:
             raise
         raise UsageError(
-            "backend 'bullet' needs pybullet: pip install 'gmdx[bullet]' (pybullet 3.2.7 has "
-            "wheels for Python up to 3.11, later ones have to compile it)"
+            f"engine {chosen!r} needs {entry.needs[missing]}: {entry.install}"
         ) from error
-    return BulletBackend()
+
+
+def _mujoco(options: EngineOptions) -> Engine:
+    from gmdx.trials.engines.mujoco import MujocoEngine
+
+    return MujocoEngine(threads=options.threads)
+
+
+def _warp(options: EngineOptions) -> Engine:
+    from gmdx.trials.engines.parallel import ParallelEngine
+    from gmdx.trials.engines.warp import worlds
+
+    return ParallelEngine("warp", worlds, parallel_trials=options.parallel_trials)
+
+
+def _bullet(_: EngineOptions) -> Engine:
+    with _without_banner():
+        from gmdx.trials.engines.bullet.engine import BulletEngine
+
+    return BulletEngine()
 
 
 @contextlib.contextmanager
@@ -120,27 +111,20 @@ def _without_banner() -> Iterator[None]:
         os.close(saved)
 
 
-def open_backend(
-    name: str, *, impl: str = "auto", threads: int = 1, batch_size: int | None = None
-) -> Backend:
-    """An engine by its name.
-
-    Args:
-        name: One of `BACKENDS`, or `auto`; see `choose`.
-        impl: Of MJX: one of `IMPLEMENTATIONS`, or `auto`.
-        threads: Of MuJoCo on the CPU.
-        batch_size: Trials that MJX runs side by side; the device's memory decides if not given.
-
-    Raises:
-        UsageError: A name is not known, or what the backend needs is not installed.
-    """
-    chosen = choose(name, impl)
-    if name == "auto" or (chosen.impl is not None and impl == "auto" and name == "mjx"):
-        _LOG.info("backend %s: %s runs the trials", name, chosen)
-    if chosen.backend == "bullet":
-        return _bullet()
-    if chosen.impl is not None:
-        from gmdx.trials.engines.parallel import MjxBackend
-
-        return MjxBackend(chosen.impl, batch_size=batch_size)
-    return _mujoco(threads)
+ENGINES: Mapping[str, EngineEntry] = {
+    "mujoco": EngineEntry(_mujoco),
+    "warp": EngineEntry(
+        _warp,
+        parallel=True,
+        packages=("mujoco-mjx", "warp-lang"),
+        needs={"warp": "warp-lang", "mujoco": "mujoco-mjx"},
+        install="pip install 'gmdx[warp]'",
+    ),
+    "bullet": EngineEntry(
+        _bullet,
+        packages=("pybullet",),
+        needs={"pybullet": "pybullet"},
+        install="pip install 'gmdx[bullet]' (pybullet 3.2.7 has wheels for Python up to 3.11, "
+        "later ones have to compile it)",
+    ),
+}

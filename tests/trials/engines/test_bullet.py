@@ -62,7 +62,7 @@ class _Handed:
         self.starts: list[np.ndarray] = []
         self.controls: list[np.ndarray] = []
         self.forces: list[np.ndarray] = []
-        step = module._Engine.step  # type: ignore[attr-defined]
+        step = module._Stepper.step  # type: ignore[attr-defined]
 
         def noted(
             engine: object,
@@ -78,7 +78,7 @@ class _Handed:
             found: ChunkResult = step(engine, rows, state, control, force, count)
             return found
 
-        monkeypatch.setattr(module._Engine, "step", noted)  # type: ignore[attr-defined]
+        monkeypatch.setattr(module._Stepper, "step", noted)  # type: ignore[attr-defined]
 
 
 def test_both_engines_are_handed_the_same_schedule(

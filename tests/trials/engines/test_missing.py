@@ -55,9 +55,9 @@ def test_a_missing_package_is_named(missing: str, site: Path) -> None:
     impl = "jax" if missing == "jax" else "warp"
     done = _python(
         site,
-        "from gmdx.trials.run import open_backend\n"
+        "from gmdx.trials.run import open_engine\n"
         "from gmdx.errors import UsageError\n"
-        f"try: open_backend('mjx', impl='{impl}')\n"
+        f"try: open_engine('mjx', impl='{impl}')\n"
         "except UsageError as error: print(error)\n",
     )
     assert done.returncode == 0, done.stderr
@@ -70,10 +70,10 @@ def test_a_missing_package_is_named(missing: str, site: Path) -> None:
 def test_auto_falls_back(site: Path) -> None:
     done = _python(
         site,
-        "from gmdx.trials.run import choose, open_backend\n"
-        "print(choose('auto'), type(open_backend('auto')).__name__)\n",
+        "from gmdx.trials.run import choose, open_engine\n"
+        "print(choose('auto'), type(open_engine('auto')).__name__)\n",
     )
-    assert done.stdout.split() == ["mujoco", "MujocoBackend"], done.stderr
+    assert done.stdout.split() == ["mujoco", "MujocoEngine"], done.stderr
 
 
 def test_array_kernels_name_a_missing_jax(missing: str, site: Path) -> None:

@@ -18,8 +18,8 @@ from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.layout import GraspModel
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
-from gmdx.trials.engines.parallel import Cancelled, MjxBackend, Worlds
-from gmdx.trials.engines.registry import choose, open_backend
+from gmdx.trials.engines.parallel import Cancelled, ParallelEngine, Worlds
+from gmdx.trials.engines.registry import choose, open_engine
 from gmdx.trials.engines.warp import worlds as warp_worlds
 from gmdx.trials.observations import ChunkResult
 from gmdx.trials.outcome import Outcome
@@ -137,7 +137,7 @@ def test_a_device_that_is_full_gets_smaller_batches(
     at_launch: bool,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    backend = MjxBackend("warp")
+    backend = ParallelEngine("warp")
     backend.implementation = small = _Small(5, at_launch=at_launch)
     with caplog.at_level(logging.WARNING, logger="gmdx"):
         found = run_trials(scenes[:1], grasps[:1], backend, trials=2)
@@ -149,7 +149,7 @@ def test_a_device_that_is_full_gets_smaller_batches(
 def test_a_device_without_any_room_is_an_error(
     scenes: list[Scene], grasps: list[PlanarGrasp]
 ) -> None:
-    backend = MjxBackend("warp")
+    backend = ParallelEngine("warp")
     backend.implementation = _Small(0, at_launch=True)
     with pytest.raises(DeviceMemoryError, match="no room"):
         run_trials(scenes[:1], grasps[:1], backend, trials=1)
@@ -175,7 +175,7 @@ def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarG
             worlds.launch = noted  # type: ignore[method-assign]
             return worlds
 
-    backend = MjxBackend("warp")
+    backend = ParallelEngine("warp")
     backend.implementation = Counted(16, at_launch=True)
     (found,) = run_trials(scenes[:1], grasps[:1], backend, trials=2)
     assert ran == found.steps
@@ -212,7 +212,7 @@ def test_auto_is_mjx_where_there_is_an_accelerator(
     monkeypatch.setattr("gmdx.machine.devices.accelerator", lambda: None)
     assert str(choose("auto")) == "mujoco"
     with caplog.at_level(logging.INFO, logger="gmdx"):
-        open_backend("auto")
+        open_engine("auto")
     assert "backend auto: mujoco runs the trials" in caplog.text
     monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 1)
     assert str(choose("auto")) == "mjx-warp"
@@ -237,7 +237,7 @@ def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound(impl: str) -
 def test_a_cancelled_run_ends_at_its_next_launch(
     scenes: list[Scene], grasps: list[PlanarGrasp]
 ) -> None:
-    backend = MjxBackend("warp")
+    backend = ParallelEngine("warp")
     launched = 0
 
     class Watched(_Small):
@@ -277,7 +277,7 @@ def test_a_smaller_batch_gets_the_memory_of_the_larger_one(
             held.extend(weakref.ref(part) for part in worlds.worlds.parts)  # type: ignore[attr-defined]
             return worlds
 
-    backend = MjxBackend("warp")
+    backend = ParallelEngine("warp")
     backend.implementation = Watched(5, at_launch=True)
     gc.collect()
     gc.disable()

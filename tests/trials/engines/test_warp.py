@@ -29,8 +29,8 @@ from gmdx.scenes.layout import GraspModel
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.settle import settle
 from gmdx.trials import observations
-from gmdx.trials.engines.mujoco import MujocoBackend, _Engine
-from gmdx.trials.engines.parallel import MjxBackend
+from gmdx.trials.engines.mujoco import MujocoEngine, _Stepper
+from gmdx.trials.engines.parallel import ParallelEngine
 from gmdx.trials.engines.warp import kernels
 from gmdx.trials.engines.warp.device import device_memory
 from gmdx.trials.engines.warp.edges import EdgeContacts
@@ -66,7 +66,7 @@ class Chunk:
     sensors: np.ndarray
 
 
-class Tap(_Engine):
+class Tap(_Stepper):
     """C MuJoCo, taking notes."""
 
     def __init__(self, scene: GraspModel, pool: rollout.Rollout) -> None:
@@ -93,7 +93,7 @@ class Tap(_Engine):
         return found
 
 
-def _rollout(engine: _Engine, state, control, force):  # type: ignore[no-untyped-def]
+def _rollout(engine: _Stepper, state, control, force):  # type: ignore[no-untyped-def]
     model = engine.scene.model
     forces = np.zeros((*control.shape[:2], model.nbody, 6))
     forces[:, :, engine.scene.object_body, :3] = force
@@ -524,9 +524,9 @@ def test_a_squeezed_box_gives_way_at_twice_the_friction_limit(friction: float) -
     )
     batch = place(scene, middle, gripper=gripper, config=CONFIG)
     limit = 2 * friction * gripper.force - 0.1 * 9.81
-    found = MjxBackend("warp").run([batch], config=CONFIG)[0]
+    found = ParallelEngine("warp").run([batch], config=CONFIG)[0]
     assert found.push_force[0] == pytest.approx(limit, rel=0.05)
-    reference = MujocoBackend().run([batch], config=CONFIG)[0]
+    reference = MujocoEngine().run([batch], config=CONFIG)[0]
     assert found.push_force[0] == pytest.approx(reference.push_force[0], rel=0.02)
 
 

@@ -15,15 +15,15 @@ from gmdx.grasps.grasp import PadContacts
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.layout import ContactSensors
 from gmdx.trials.engines.bullet.world import BulletConfig, BulletWorld
-from gmdx.trials.engines.engine import ModelLayout, chunk_result
 from gmdx.trials.execute import Execution
 from gmdx.trials.observations import ChunkResult
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.stepper import ModelLayout, chunk_result
 
 
 @dataclass(frozen=True)
-class BulletBackend:
+class BulletEngine:
     """PyBullet on one core."""
 
     config: BulletConfig = field(default_factory=BulletConfig)
@@ -42,10 +42,10 @@ class BulletBackend:
         schedules = [batch.schedule(config)]
         world = BulletWorld(scene, batch.object, config, self.config)
         try:
-            engine = _Engine(world)
-            found = Execution(engine, [batch[:0]], config).results()
+            stepper = _Stepper(world)
+            found = Execution(stepper, [batch[:0]], config).results()
             for row in range(len(batch)):
-                trial = Execution(engine, [batch[row : row + 1]], config)
+                trial = Execution(stepper, [batch[row : row + 1]], config)
                 trial.run(schedules)
                 found += trial.results()
         finally:
@@ -53,7 +53,7 @@ class BulletBackend:
         return _joined(found)
 
 
-class _Engine(ModelLayout):
+class _Stepper(ModelLayout):
     """One world that follows one trial; a start takes the place of the trial before it."""
 
     def __init__(self, world: BulletWorld) -> None:

@@ -88,7 +88,7 @@ def _geometry(scene: GraspModel, geom: int) -> dict[str, Any]:
         case other:
             raise GripperError(
                 f"gripper {scene.gripper.name}: geom '{model.geom(geom).name}' is a "
-                f"{other.name}; the bullet backend knows box, sphere, capsule, cylinder and mesh"
+                f"{other.name}; the engine bullet knows box, sphere, capsule, cylinder and mesh"
             )
 
 

@@ -121,7 +121,7 @@ class DeviceWorlds:
         force: Float[Array, "s 3"],
         count: Int[Array, "n"],
     ) -> Callable[[], ChunkResult]:
-        """As `mjx.Worlds.launch`, for at most `capacity` trials."""
+        """As `parallel.Worlds.launch`, for at most `capacity` trials."""
         listen()
         key = self.size_for(len(index)), control.shape[1]
         with wp.ScopedDevice(self.device), device_memory(f"{key[0]} trials side by side"):

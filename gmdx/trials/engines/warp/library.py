@@ -114,8 +114,8 @@ def slots_for(model: mujoco.MjModel) -> int:
         if hulls <= size:
             return size
     raise UsageError(
-        f"an object has {hulls} convex hulls, and mjx-warp takes up to {SLOTS[-1]}: prepare it "
-        "with fewer, or run it with --backend mujoco"
+        f"an object has {hulls} convex hulls, and warp takes up to {SLOTS[-1]}: prepare it "
+        "with fewer, or run it with --engine mujoco"
     )
 
 
@@ -201,9 +201,9 @@ def refuse_differences(shared: mujoco.MjModel, own: mujoco.MjModel, rows: Int[Ar
     ]
     if found:
         raise UsageError(
-            f"mjx-warp cannot put this object beside others: its model differs in "
+            f"warp cannot put this object beside others: its model differs in "
             f"{', '.join(found)}. Use one gripper and one physics configuration for a batch, or "
-            "run it with --backend mujoco"
+            "run it with --engine mujoco"
         )
 
 

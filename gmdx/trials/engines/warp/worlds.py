@@ -78,7 +78,7 @@ class WarpWorlds:
         force: Float[Array, "s 3"],
         count: Int[Array, "n"],
     ) -> Callable[[], ChunkResult]:
-        """As `mjx.Worlds.launch`: each device takes its share."""
+        """As `parallel.Worlds.launch`: each device takes its share."""
         shares = [
             share
             for share in np.array_split(np.arange(len(index)), len(self.parts))
