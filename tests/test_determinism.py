@@ -47,14 +47,14 @@ def expected(
 def test_batches_change_nothing(
     meshes: Path, cache: Path, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
-    generate(meshes, tmp_path, small_config(cache, batch=1))
+    generate(meshes, tmp_path, small_config(cache, block=1))
     assert contents(tmp_path) == expected
 
 
 def test_the_cache_changes_nothing(
     meshes: Path, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
-    generate(meshes, tmp_path, small_config(None, batch=4))
+    generate(meshes, tmp_path, small_config(None, block=4))
     assert contents(tmp_path) == expected
 
 
@@ -62,7 +62,7 @@ def test_two_workers_and_another_order_change_nothing(
     meshes: Path, cache: Path, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
     reverse = sorted(meshes.iterdir(), reverse=True)
-    generate(reverse, tmp_path, small_config(cache, workers=2, batch=5))
+    generate(reverse, tmp_path, small_config(cache, workers=2, block=5))
     assert contents(tmp_path) == expected
 
 

@@ -17,7 +17,7 @@ from gmdx.metrics.table import METRIC_NAMES
 from gmdx.scenes.camera import render
 from tests.dataset.hand_built import CAMERA, EVIDENCE, HEADER, columns_of, grasps_of, scene_of
 
-INFO = {**HEADER, "gripper": {"name": "tweezers"}, "backend": "by hand"}
+INFO = {**HEADER, "gripper": {"name": "tweezers"}, "engine": "by hand"}
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def _still_trials(scene: Scene, grasps: PlanarGrasp, **changes: object) -> Trial
         opening=np.full(n, 0.04),
         push_force=np.full(n, 30.0),
         push_force_is_lower_bound=np.zeros(n, bool),
-        backend="by hand",
+        engine="by hand",
         steps=0,
         step_seconds=0.0,
         seconds=0.0,
@@ -352,7 +352,7 @@ def test_a_grasp_does_not_depend_on_its_batch(hammer: trimesh.Trimesh) -> None:
 
 
 def _rows(trials: TrialResults, rows: slice) -> TrialResults:
-    whole = ("gripper", "backend", "steps", "step_seconds", "seconds")
+    whole = ("gripper", "engine", "steps", "step_seconds", "seconds")
     parts = {f.name: getattr(trials, f.name)[rows] for f in fields(trials) if f.name not in whole}
     return replace(trials, **parts)
 

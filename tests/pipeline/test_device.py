@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
+pytest.importorskip("warp", reason="the extra gmdx[warp] is not installed")
 
 from gmdx.dataset.read import read_dataset
 from gmdx.errors import SceneError
@@ -39,7 +39,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _warp(cache: Path, **options: object) -> GenerateConfig:
-    return small_config(cache, grasps=3, scenes=1, backend="mjx", impl="warp", **options)
+    return small_config(cache, grasps=3, scenes=1, engine="warp", **options)
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +53,12 @@ def dataset(meshes: list[Path], cache: Path, tmp_path_factory: pytest.TempPathFa
 def test_a_dataset_names_what_ran_its_trials(dataset: Path) -> None:
     assert_whole(dataset)
     header = json.loads((dataset / "dataset.json").read_text())
-    assert header["backend"] == "mjx-warp"
+    assert header["engine"] == "warp"
     assert {"mujoco-mjx", "warp-lang"} <= set(header["packages"])
     read = read_dataset(dataset)
     for object_id in read.objects:
         described = json.loads((dataset / "objects" / object_id / "object.json").read_text())
-        assert described["kernels"]["trials"].startswith("mjx-warp (mujoco-mjx")
+        assert described["kernels"]["trials"].startswith("warp (mujoco-mjx")
 
 
 def test_its_trials_are_those_of_mujoco(dataset: Path, meshes: list[Path], cache: Path,
@@ -75,7 +75,7 @@ def test_its_trials_are_those_of_mujoco(dataset: Path, meshes: list[Path], cache
 def test_no_byte_depends_on_batches_or_workers(
     dataset: Path, meshes: list[Path], cache: Path, tmp_path: Path
 ) -> None:
-    generate(meshes, tmp_path, _warp(cache, batch_size=5, workers=2))
+    generate(meshes, tmp_path, _warp(cache, parallel_trials=5, workers=2))
     assert contents(tmp_path) == contents(dataset)
 
 
@@ -86,13 +86,13 @@ def test_auto_says_what_it_stands_for(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr("gmdx.trials.run.has_accelerator", lambda: False)
+    monkeypatch.setattr("gmdx.trials.engines.registry.cuda_devices", lambda: 0)
     with caplog.at_level(logging.INFO, logger="gmdx"):
-        config = small_config(cache, grasps=2, scenes=1, backend="auto", batch_size=5)
+        config = small_config(cache, grasps=2, scenes=1, engine="auto", parallel_trials=5)
         generate(meshes[:1], tmp_path, config)
-    assert "backend auto: mujoco runs the trials" in caplog.messages
+    assert "engine auto: mujoco runs the trials" in caplog.messages
     header = json.loads((tmp_path / "dataset.json").read_text())
-    assert header["backend"] == header["configuration"]["backend"] == "mujoco"
+    assert header["engine"] == header["configuration"]["engine"] == "mujoco"
 
 
 @ON_CPU
@@ -114,11 +114,11 @@ def test_an_object_whose_trials_cannot_be_run_costs_only_itself(
     run = ParallelEngine.run
 
     def refusing(
-        backend: ParallelEngine, batches: list[TrialBatch], *, config: TrialConfig
+        engine: ParallelEngine, batches: list[TrialBatch], *, config: TrialConfig
     ) -> list[RawTrials]:
         if any(batch.object.object_id.startswith("box1") for batch in batches):
             raise SceneError("box1 is not to be simulated")
-        return run(backend, batches, config=config)
+        return run(engine, batches, config=config)
 
     monkeypatch.setattr(ParallelEngine, "run", refusing)
     with caplog.at_level(logging.WARNING, logger="gmdx"):
@@ -141,7 +141,7 @@ def test_breaking_off_ends_the_device_at_its_next_chunk(
         begun.append(time.perf_counter())
 
     with pytest.raises(KeyboardInterrupt):
-        generate(meshes, tmp_path, _warp(cache, batch_size=3), on_progress=report)
+        generate(meshes, tmp_path, _warp(cache, parallel_trials=3), on_progress=report)
     names = [thread.name for thread in threading.enumerate()]
     assert "gmdx trials" not in names
     assert generate(meshes, tmp_path, _warp(cache)).counts["objects"] == 3

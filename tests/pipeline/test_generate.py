@@ -229,7 +229,7 @@ def test_options_that_change_results_cannot_be_mixed(root: Path, cache: Path) ->
     ):
         with pytest.raises(OutputError, match=message):
             generate(meshes, root / "out", small_config(cache, **change))
-    summary = generate(meshes, root / "out", small_config(cache, batch=1, workers=2))
+    summary = generate(meshes, root / "out", small_config(cache, block=1, workers=2))
     assert (summary.produced, summary.present) == (0, 3)
     assert contents(root / "out") == before
 
@@ -260,7 +260,7 @@ def test_what_cannot_be_asked_for(cache: Path, tmp_path: Path) -> None:
         ({"grasps": 0}, "grasps must be at least 1"),
         ({"workers": 0}, "workers must be at least 1"),
         ({"sampler": "psychic"}, "dense, antipodal"),
-        ({"backend": "bullets"}, "unknown backend 'bullets'; give one of"),
+        ({"engine": "bullets"}, "unknown engine 'bullets'; give one of"),
         ({"trial": TrialConfig(trials=3), "trials": 4}, "set `trials` of the whole run"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -59,7 +59,7 @@ def test_observed_steps_are_what_single_contacts_say() -> None:
 
 
 def test_jax_sees_the_same() -> None:
-    jax = pytest.importorskip("jax", reason="the extra gmdx[mjx] is not installed")
+    jax = pytest.importorskip("jax", reason="the extra gmdx[jax] is not installed")
     qpos, qvel, sensors = _steps()
     expected = observations.observe(qpos, qvel, sensors, LAYOUT)
 

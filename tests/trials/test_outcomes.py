@@ -105,7 +105,7 @@ def test_engine_warnings_leave_no_file_behind(
 
 def test_bad_requests_are_named() -> None:
     scene = resting_scene(box_object(BOX))
-    with pytest.raises(UsageError, match="unknown backend 'mojoco'; give one of auto, mujoco"):
+    with pytest.raises(UsageError, match="unknown engine 'mojoco'; give one of auto, mujoco"):
         run_trials(scene, _grasp((0.0, 0.0, 0.025)), "mojoco")
     with pytest.raises(GraspError, match=r"opens to 0\.0850 m"):
         run_trials(scene, _grasp((0.0, 0.0, 0.025), width=0.2))

@@ -183,7 +183,8 @@ def _refuse_others(reference: Measured, other: Measured) -> None:
     if not same:
         raise UsageError(
             f"{reference.version} ran {reference.outcomes.shape} grasps and trials, "
-            f"{other.version} {other.outcomes.shape}, or other ones: compare the same grasps in both"
+            f"{other.version} {other.outcomes.shape}, or other ones: compare the same grasps "
+            "in both"
         )
 
 

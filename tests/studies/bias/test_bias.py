@@ -26,7 +26,7 @@ from gmdx.studies.bias.study import bias_study, choose
 from gmdx.trials.protocol import compile_schedule
 from tests.runs import Command, needs_proc, small_config, write_meshes
 
-NULL = BiasConfig(backend="mujoco", noise_floor=False, truth=False, grasps=8, resamples=200)
+NULL = BiasConfig(engine="mujoco", noise_floor=False, truth=False, grasps=8, resamples=200)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def null(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> BiasStud
 @pytest.fixture(scope="module")
 def floor(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> BiasStudy:
     """MuJoCo against itself, noise floor and closed forms included."""
-    config = BiasConfig(backend="mujoco", grasps=6, objects=2, resamples=200)
+    config = BiasConfig(engine="mujoco", grasps=6, objects=2, resamples=200)
     return bias_study(dataset, tmp_path_factory.mktemp("floor") / "study", config)
 
 
@@ -64,7 +64,7 @@ def test_replay_in_the_same_engine_reproduces_the_rows(dataset: Dataset, null: B
             )
     assert pairs["outcomes_a"].to_pylist() == rows["outcomes"].to_pylist()
     assert pairs["outcome_b"].to_pylist() == rows["outcome"].to_pylist()
-    assert null.backends["a"].startswith("mujoco")
+    assert null.versions["a"].startswith("mujoco")
 
 
 def test_null_study_finds_exactly_no_difference(null: BiasStudy) -> None:
@@ -220,8 +220,8 @@ def test_part_that_could_not_run_is_named_and_left_out(dataset: Dataset, tmp_pat
 
 
 def test_wrong_usage_is_refused(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"unknown backend 'ode'.*auto, mujoco, mjx, bullet"):
-        bias_study(dataset, tmp_path / "a", replace(NULL, backend="ode"))
+    with pytest.raises(UsageError, match=r"unknown engine 'ode'.*auto, mujoco, warp, bullet"):
+        bias_study(dataset, tmp_path / "a", replace(NULL, engine="ode"))
     with pytest.raises(ConfigError, match="grasps must be at least 1"):
         BiasConfig(grasps=0)
     with pytest.raises(UsageError, match="made with the gripper 'parallel_jaw'"):
@@ -258,7 +258,7 @@ def test_killed_or_interrupted_run_continues_to_the_same_bytes(
     dataset: Dataset, tmp_path: Path
 ) -> None:
     whole = tmp_path / "whole"
-    words = ("bias", dataset.root, "--backend", "mujoco", "--grasps", "6", "--workers", "2")
+    words = ("bias", dataset.root, "--engine", "mujoco", "--grasps", "6", "--workers", "2")
     done = Command(*words, "--out", whole, cache=tmp_path / "cache").finish()
     assert done.code == 0
     assert "same outcome" in done.out
@@ -286,7 +286,7 @@ def test_study_of_two_engines(dataset: Dataset, tmp_path: Path) -> None:
     study = bias_study(dataset, tmp_path / "study", config)
     assert not study.failures
     assert study.engines.grasps == 8
-    assert {row.backend for row in study.truth} == {"mujoco", "bullet"}
+    assert {row.engine for row in study.truth} == {"mujoco", "bullet"}
     assert study.engines.label == "bullet - mujoco"
     again = bias_study(dataset, tmp_path / "again", config)
     assert _contents(again.root) == _contents(study.root)

@@ -53,8 +53,8 @@ def test_weaker_fingers_show_as_less_than_expected() -> None:
 def test_every_engine_answers_every_case() -> None:
     pytest.importorskip("pybullet", reason="the second engine")
     rows = truth_table(["mujoco", "bullet"])
-    cases = {b: [(r.quantity, r.setting) for r in rows if r.backend == b] for b in
+    cases = {b: [(r.quantity, r.setting) for r in rows if r.engine == b] for b in
              ("mujoco", "bullet")}  # fmt: skip
     assert cases["mujoco"] == cases["bullet"]
-    pushes = [r for r in rows if r.backend == "bullet" and r.quantity == "push down"]
+    pushes = [r for r in rows if r.engine == "bullet" and r.quantity == "push down"]
     assert all(r.measured == pytest.approx(r.expected, rel=0.1) for r in pushes)

@@ -31,7 +31,7 @@ from tests.support import box_object, cylinder_object, resting_scene
 GRIPPER = load_gripper()
 CONFIG = TrialConfig(trials=2)
 GRASPS = 6
-WARP = LIMITS["mjx-warp"]
+WARP = LIMITS["warp"]
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_what_is_measured_are_the_metrics_that_trials_give(
 
 
 def test_an_engine_agrees_with_itself_exactly(measured: Measured) -> None:
-    parity = compare_trials(measured, measured, backend="mujoco", limits=WARP)
+    parity = compare_trials(measured, measured, engine="mujoco", limits=WARP)
     assert parity.agreement.value == 1.0
     assert parity.agreement.low < 1.0 == parity.agreement.high
     assert parity.disagreements == ()
@@ -99,7 +99,7 @@ def test_an_engine_agrees_with_itself_exactly(measured: Measured) -> None:
 
 def test_a_second_run_of_the_reference_is_the_same(scenes: list[Scene]) -> None:
     figures = parity_figures(
-        scenes[:2], backends=("mujoco",), grasps=2, gripper=GRIPPER, config=CONFIG, threads=2
+        scenes[:2], engines=("mujoco",), grasps=2, gripper=GRIPPER, config=CONFIG, threads=2
     )
     (parity,) = figures.parities
     assert parity.agreement.value == 1.0
@@ -110,14 +110,14 @@ def test_a_second_run_of_the_reference_is_the_same(scenes: list[Scene]) -> None:
 
 
 def test_a_nudge_changes_metrics_by_about_its_length(scenes: list[Scene]) -> None:
-    figures = parity_figures(scenes[:2], backends=("mujoco",), grasps=4, gripper=GRIPPER)
+    figures = parity_figures(scenes[:2], engines=("mujoco",), grasps=4, gripper=GRIPPER)
     assert figures.floor is not None
     for name in ("real_s_offset_l", "moved"):
         assert 0 < figures.floor.metric(name).median < 10 * figures.nudge
     assert figures.floor.metric("force").worst > 0
     assert figures.as_json()["floor"]["outcomes"]["agreement"]["value"] > 0.9
     without = parity_figures(
-        scenes[:1], backends=("mujoco",), grasps=1, gripper=GRIPPER, config=CONFIG, floor=False
+        scenes[:1], engines=("mujoco",), grasps=1, gripper=GRIPPER, config=CONFIG, floor=False
     )
     assert without.floor is None
     assert without.as_json()["floor"] is None
@@ -129,7 +129,7 @@ def test_flipped_outcomes_are_found_one_by_one(measured: Measured) -> None:
     outcomes[0, 0] = outcomes[3, 4] = outcomes[19, 1] = Outcome.LOST_IN_LIFT
     outcomes[2, 2] = Outcome.OVERFLOWED
     parity = compare_trials(
-        reference, replace(reference, outcomes=outcomes), backend="x", limits=ParityLimits(0.96)
+        reference, replace(reference, outcomes=outcomes), engine="x", limits=ParityLimits(0.96)
     )
     assert parity.agreement.value == pytest.approx(0.96)
     assert parity.agrees
@@ -148,7 +148,7 @@ def test_flipped_outcomes_are_found_one_by_one(measured: Measured) -> None:
     assert parity.outcomes.counts[Outcome.SUCCESS, Outcome.SUCCESS] == 96
     strict = ParityLimits(0.97)
     other = replace(reference, outcomes=outcomes)
-    assert compare_trials(reference, other, backend="x", limits=strict).passed is False
+    assert compare_trials(reference, other, engine="x", limits=strict).passed is False
 
 
 def rows_of(n: int) -> dict[str, object]:
@@ -165,7 +165,7 @@ def rows_of(n: int) -> dict[str, object]:
 def test_a_shift_of_all_is_the_median_and_a_shift_of_one_the_largest(measured: Measured) -> None:
     moved = measured.values["moved"]
     parity = compare_trials(
-        measured, changed(measured, "moved", moved - 3e-4), backend="x", limits=WARP
+        measured, changed(measured, "moved", moved - 3e-4), engine="x", limits=WARP
     )
     found = parity.metric("moved")
     assert (found.median, found.p95, found.worst) == pytest.approx((3e-4,) * 3)
@@ -175,7 +175,7 @@ def test_a_shift_of_all_is_the_median_and_a_shift_of_one_the_largest(measured: M
 
     one = moved.copy()
     one[np.flatnonzero(np.isfinite(moved))[2]] += 0.01
-    parity = compare_trials(measured, changed(measured, "moved", one), backend="x", limits=WARP)
+    parity = compare_trials(measured, changed(measured, "moved", one), engine="x", limits=WARP)
     found = parity.metric("moved")
     assert found.worst == pytest.approx(0.01)
     assert found.median == 0.0
@@ -187,7 +187,7 @@ def test_a_shift_of_all_is_the_median_and_a_shift_of_one_the_largest(measured: M
 def test_angles_have_their_own_limit(name: str, limit: float, measured: Measured) -> None:
     for shift, within in ((0.9 * limit, True), (1.1 * limit, False)):
         other = changed(measured, name, measured.values[name] + shift)
-        found = compare_trials(measured, other, backend="x", limits=WARP).metric(name)
+        found = compare_trials(measured, other, engine="x", limits=WARP).metric(name)
         assert (found.limit, found.within) == (limit, within)
 
 
@@ -196,13 +196,13 @@ def test_what_one_engine_lacks_is_counted_and_not_compared(measured: Measured) -
     has = np.flatnonzero(np.isfinite(opening))
     less = opening.copy()
     less[has[:2]] = np.nan
-    found = compare_trials(measured, changed(measured, "sim_width", less), backend="x").metric(
+    found = compare_trials(measured, changed(measured, "sim_width", less), engine="x").metric(
         "sim_width"
     )
     assert (found.pairs, found.only_reference, found.only_other) == (len(has) - 2, 2, 0)
     none = np.full(len(opening), np.nan)
     found = compare_trials(
-        changed(measured, "sim_width", none), measured, backend="x", limits=WARP
+        changed(measured, "sim_width", none), measured, engine="x", limits=WARP
     ).metric("sim_width")
     assert (found.pairs, found.only_other) == (0, len(has))
     assert np.isnan(found.median)
@@ -212,7 +212,7 @@ def test_what_one_engine_lacks_is_counted_and_not_compared(measured: Measured) -
 def test_push_out_forces_are_compared_by_ratio(measured: Measured) -> None:
     force = measured.values["force"]
     more = force * np.where(np.arange(len(force)) % 2, 0.95, 1.05)
-    parity = compare_trials(measured, changed(measured, "force", more), backend="x", limits=WARP)
+    parity = compare_trials(measured, changed(measured, "force", more), engine="x", limits=WARP)
     bounds = measured.force_is_lower_bound
     assert parity.force.pairs == ((force > 0) & ~bounds).sum() > 3
     assert (parity.force.median, parity.force.worst) == pytest.approx((0.05, 0.05))
@@ -222,10 +222,10 @@ def test_push_out_forces_are_compared_by_ratio(measured: Measured) -> None:
     # Ramps that ended in both engines say nothing about the force.
     ended = replace(measured, force_is_lower_bound=np.arange(len(force)) % 2 == 1)
     shorter = changed(ended, "force", np.where(ended.force_is_lower_bound, force / 2, force))
-    found = compare_trials(ended, shorter, backend="x").force
+    found = compare_trials(ended, shorter, engine="x").force
     assert found.worst == 0.0
     assert found.pairs == ((force > 0) & ~ended.force_is_lower_bound).sum()
-    one_sided = compare_trials(measured, shorter, backend="x").force
+    one_sided = compare_trials(measured, shorter, engine="x").force
     assert one_sided.worst == pytest.approx(0.5)
 
 
@@ -250,13 +250,13 @@ def test_other_grasps_are_not_compared(
     }
     for other in others.values():
         with pytest.raises(UsageError, match="compare the same grasps"):
-            compare_trials(measured, other, backend="x")
+            compare_trials(measured, other, engine="x")
     with pytest.raises(UsageError, match="one of each for each scene"):
         measure(scenes, grasps, results[:2])
     with pytest.raises(MetricError, match="pass the trials of these grasps"):
         measure(scenes[:1], [grasps[0][:3]], results[:1])
     with pytest.raises(UsageError, match="no compared metric 'g_dis'"):
-        compare_trials(measured, measured, backend="x").metric("g_dis")
+        compare_trials(measured, measured, engine="x").metric("g_dis")
 
 
 def no_constant(text: str) -> float:
@@ -265,10 +265,10 @@ def no_constant(text: str) -> float:
 
 def test_json_has_everything(measured: Measured) -> None:
     none = changed(measured, "moved", np.full(len(measured.object), np.nan))
-    parity = compare_trials(measured, none, backend="mjx-warp", limits=WARP)
+    parity = compare_trials(measured, none, engine="warp", limits=WARP)
     found = json.loads(json.dumps(parity.as_json()), parse_constant=no_constant)
     assert {row["metric"] for row in found["metrics"]} == set(measured.values)
-    assert (found["backend"], found["passed"]) == ("mjx-warp", False)
+    assert (found["engine"], found["passed"]) == ("warp", False)
     (moved,) = (row for row in found["metrics"] if row["metric"] == "moved")
     assert (moved["median"], moved["within"], moved["limit"]) == (None, False, 1e-4)
     counts = found["outcomes"]["counts"]
@@ -288,7 +288,7 @@ def test_the_command_prints_tables_and_json(
     monkeypatch.setenv("GMDX_CACHE", str(tmp_path_factory.getbasetemp() / "prepared"))
     folder = tmp_path_factory.mktemp("meshes")
     words = ["bench", "parity", *map(str, write_meshes(folder, 2)), "--grasps", "2"]
-    words += ["--trials", "1", "--backend", "mujoco"]
+    words += ["--trials", "1", "--engine", "mujoco"]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out, parse_constant=no_constant)
     assert found["reference"] == f"mujoco {mujoco.__version__}"
@@ -312,7 +312,7 @@ def test_another_physics_differs_and_its_ways_to_end_are_named(
     from gmdx.cli.bench_parity import show_parity
 
     figures = parity_figures(
-        scenes[:2], backends=("bullet",), grasps=4, gripper=GRIPPER, config=CONFIG
+        scenes[:2], engines=("bullet",), grasps=4, gripper=GRIPPER, config=CONFIG
     )
     (parity,) = figures.parities
     assert parity.limits is None

@@ -6,22 +6,20 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import jax.monitoring
 import mujoco
 import numpy as np
 import pytest
 
-import gmdx.trials
+import gmdx.trials.engines.warp
 from gmdx.cli.bench_trials import show_speed
 from gmdx.cli.main import main
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.sample import sample_grasps
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.scene import Scene
-from gmdx.studies.engines.machine import Compilations, compilations, machine, peak_device_memory
+from gmdx.studies.engines.machine import compilations, machine, peak_device_memory
 from gmdx.studies.engines.runs import RunFailure, RunProgress, run_apart
 from gmdx.studies.engines.speed import trial_figures
-from gmdx.trials.engines.registry import Chosen
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.run import run_trials
@@ -83,7 +81,7 @@ def test_ratios_compare_with_the_first_engine(scenes: list[Scene]) -> None:
         grasps=2,
         gripper=GRIPPER,
         config=TrialConfig(trials=1),
-        backends=("mujoco", "bullet"),
+        engines=("mujoco", "bullet"),
         on_progress=told.append,
     )
     first, second = speed.figures
@@ -98,7 +96,7 @@ def test_ratios_compare_with_the_first_engine(scenes: list[Scene]) -> None:
 
 
 @pytest.mark.slow
-def test_batch_sizes_get_a_row_each_and_the_timed_run_compiles_nothing(
+def test_numbers_of_parallel_trials_get_a_row_each_and_the_timed_run_compiles_nothing(
     scenes: list[Scene],
 ) -> None:
     pytest.importorskip("warp", reason="the implementation is not installed")
@@ -107,15 +105,15 @@ def test_batch_sizes_get_a_row_each_and_the_timed_run_compiles_nothing(
         grasps=2,
         gripper=GRIPPER,
         config=TrialConfig(trials=1),
-        backends=("mujoco", "mjx-warp"),
-        batch_sizes=(4, 2, 4),
+        engines=("mujoco", "warp"),
+        parallel_trials=(4, 2, 4),
         isolated=True,
     )
     assert speed.failures == ()
     one, two, four = speed.figures
-    assert [row.batch_size for row in speed.figures] == [None, 2, 4]
+    assert [row.parallel_trials for row in speed.figures] == [None, 2, 4]
     for row in (two, four):
-        assert row.backend == "mjx-warp"
+        assert row.engine == "warp"
         assert row.compiled is not None
         assert row.cached is not None
         assert row.compiled + row.cached > 0
@@ -164,12 +162,12 @@ def test_an_error_that_nobody_foresaw_is_named_with_its_place(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"backends": ("mujoco", "pullet")}, "unknown backend 'pullet'"),
-        ({"backends": ()}, "at least one backend"),
+        ({"engines": ("mujoco", "pullet")}, "unknown engine 'pullet'"),
+        ({"engines": ()}, "at least one engine"),
         ({"grasps": 0}, "grasps must be at least 1"),
         ({"threads": 0}, "threads must be at least 1"),
-        ({"batch_sizes": (8, 0)}, "batch_size must be at least 1"),
-        ({"batch_sizes": (8,)}, "not for mujoco"),
+        ({"parallel_trials": (8, 0)}, "parallel_trials must be at least 1"),
+        ({"parallel_trials": (8,)}, "not for mujoco"),
     ],
 )
 def test_what_cannot_run_is_refused(
@@ -182,25 +180,10 @@ def test_what_cannot_run_is_refused(
 def test_the_machine_is_named() -> None:
     here = machine()
     assert here.packages["mujoco"] == mujoco.__version__
-    assert here.packages["jax"] == jax.__version__
     assert here.processor
     assert 1 <= here.cores <= (os.cpu_count() or 1)
-    assert compilations(Chosen("mujoco")) is None
-    assert peak_device_memory(Chosen("bullet")) is None
-
-
-def test_compilations_of_jax_are_told_from_its_helpers_and_from_what_the_disk_had() -> None:
-    duration = "/jax/core/compile/backend_compile_duration"
-    before = compilations(Chosen("mjx", "jax"))
-    assert before is not None
-    jax.monitoring.record_event_duration_secs(duration, 0.01)  # a helper
-    jax.monitoring.record_event_duration_secs(duration, 20.0)
-    jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
-    jax.monitoring.record_event_duration_secs(duration, 0.5)
-    jax.monitoring.record_event_duration_secs("/jax/core/compile/jaxpr_trace_duration", 20.0)
-    after = compilations(Chosen("mjx", "jax"))
-    assert after is not None
-    assert after.since(before) == Compilations(compiled=1, cached=1)
+    assert compilations("mujoco") is None
+    assert peak_device_memory("bullet") is None
 
 
 def test_the_command_prints_a_table_and_json(
@@ -228,26 +211,26 @@ def test_figures_of_any_size_fit_the_table(
 ) -> None:
     speed = trial_figures(scenes, grasps=1, gripper=GRIPPER, config=TrialConfig(trials=1))
     (row,) = speed.figures
-    on_device = {"backend": "mjx-warp", "compiled": 120, "cached": 120, "compiled_again": 0}
+    on_device = {"engine": "warp", "compiled": 120, "cached": 120, "compiled_again": 0}
     row = replace(
         row, first_seconds=0.00123, seconds=0.000456, processor_seconds=1.2e-7,
         step_seconds=1.2e-7,
     )  # fmt: skip
     slow = replace(
-        row, **on_device, batch_size=4, seconds=123.4, processor_seconds=99.9, step_seconds=99.9,
-        first_seconds=1234.5, ratio=1.23e-4,
+        row, **on_device, parallel_trials=4, seconds=123.4, processor_seconds=99.9,
+        step_seconds=99.9, first_seconds=1234.5, ratio=1.23e-4,
     )  # fmt: skip
     fast = replace(
-        row, **on_device, batch_size=16384, trials=100_000, steps=45_678_901, seconds=3.2,
+        row, **on_device, parallel_trials=16384, trials=100_000, steps=45_678_901, seconds=3.2,
         device_bytes=139 * 10**9, failed=3, ratio=123.4,
     )  # fmt: skip
-    failure = RunFailure("mjx-jax x 4", "no memory")
+    failure = RunFailure("warp x 8", "no memory")
     show_speed(replace(speed, figures=(row, slow, fast), failures=(failure,)))
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= 100
-    assert "mjx-warp: 3 of 100000 trials diverged or overflowed" in printed
-    assert "mjx-jax x 4 failed: no memory" in printed
-    assert "mjx-warp x 4: filled" in printed
+    assert "warp: 3 of 100000 trials diverged or overflowed" in printed
+    assert "warp x 8 failed: no memory" in printed
+    assert "warp x 4: filled" in printed
     assert "120+120; 0" in printed
 
 
@@ -259,22 +242,22 @@ def test_a_missing_extra_is_said_in_one_line_before_anything_runs(
         name for name in sys.modules if name.startswith("gmdx.trials.engines.warp.worlds")
     ]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(gmdx.trials, "mjx_warp", raising=False)
+    monkeypatch.delattr(gmdx.trials.engines.warp, "worlds", raising=False)
     monkeypatch.setitem(sys.modules, "warp", None)
-    assert main(["bench", command, "bundled:cup", "--backend", "mujoco,mjx-warp"]) == 2
+    assert main(["bench", command, "bundled:cup", "--engine", "mujoco,warp"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert len(err.strip().splitlines()) == 1
-    assert "pip install 'gmdx[mjx]'" in err
+    assert "pip install 'gmdx[warp]'" in err
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--backend", "mujoco,pullet"], "unknown backend 'pullet'"),
-        (["--backend", "mjx-warped"], "unknown backend 'mjx-warped'"),
-        (["--batch-size", "4,x"], "--batch-size takes numbers"),
-        (["--batch-size", "4", "--backend", "mujoco"], "not for mujoco"),
+        (["--engine", "mujoco,pullet"], "unknown engine 'pullet'"),
+        (["--engine", "warped"], "unknown engine 'warped'"),
+        (["--parallel-trials", "4,x"], "--parallel-trials takes numbers"),
+        (["--parallel-trials", "4", "--engine", "mujoco"], "not for mujoco"),
         (["--grasps", "0"], "grasps must be at least 1"),
         (["--trials", "0"], "trials must be at least 1"),
     ],
@@ -289,8 +272,8 @@ def test_wrong_words_are_refused(
     assert message in err
 
 
-def test_parity_takes_one_batch_size(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "parity", "bundled:cup", "--batch-size", "4,8"]) == 2
+def test_parity_takes_one_number_of_parallel_trials(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "parity", "bundled:cup", "--parallel-trials", "4,8"]) == 2
     assert "one number" in capsys.readouterr().err
 
 

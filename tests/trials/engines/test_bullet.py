@@ -27,7 +27,7 @@ from tests.support import box_object, mesh_object, resting_scene
 
 pybullet = pytest.importorskip("pybullet", reason="the second engine is not installed")
 
-from gmdx.trials import bullet as second_engine  # noqa: E402
+from gmdx.trials.engines.bullet import engine as second_engine  # noqa: E402
 from gmdx.trials.engines.bullet.world import BulletConfig  # noqa: E402
 from gmdx.trials.observations import ChunkResult  # noqa: E402
 from tests.trials.engines.bullet_rig import bullet_world, start, wait  # noqa: E402
@@ -87,8 +87,8 @@ def test_both_engines_are_handed_the_same_schedule(
     # No phase ends early, and no push before its ramp does.
     config = TrialConfig(trials=1, still_speed=0.0, push_limit=1.0)
     handed = [_Handed(module, monkeypatch) for module in (first_engine, second_engine)]
-    for backend in ("mujoco", "bullet"):
-        trials = run_trials(scene, _grasp((0.001, 0.002, 0.025), 0.03), backend, config=config)
+    for engine in ("mujoco", "bullet"):
+        trials = run_trials(scene, _grasp((0.001, 0.002, 0.025), 0.03), engine, config=config)
         assert trials.push_force_is_lower_bound[0]
     for name in ("starts", "controls", "forces"):
         one, other = (np.concatenate(getattr(item, name), axis=-2 if name == "controls" else 0)
@@ -101,7 +101,7 @@ def test_both_engines_start_from_the_same_perturbed_poses(
     scene: Scene, grasps: PlanarGrasp, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     handed = [_Handed(module, monkeypatch) for module in (first_engine, second_engine)]
-    trials = [run_trials(scene, grasps, backend) for backend in ("mujoco", "bullet")]
+    trials = [run_trials(scene, grasps, engine) for engine in ("mujoco", "bullet")]
     starts = [np.stack(item.starts) for item in handed]
     assert starts[0].shape[0] == 30
     np.testing.assert_array_equal(starts[0], starts[1])
@@ -123,7 +123,7 @@ def test_both_engines_start_from_the_same_perturbed_poses(
 def test_both_engines_agree_on_what_is_plain(
     scene: Scene, grasp: PlanarGrasp, outcome: Outcome
 ) -> None:
-    trials = [run_trials(scene, grasp, backend) for backend in ("mujoco", "bullet")]
+    trials = [run_trials(scene, grasp, engine) for engine in ("mujoco", "bullet")]
     for item in trials:
         assert np.all(item.outcome == outcome)
         assert np.all(item.collision == (outcome == Outcome.COLLISION_IN_APPROACH))
@@ -252,9 +252,9 @@ def _hand(folder: Path, extra: str = "") -> Gripper:
 def test_a_user_s_gripper_of_every_shape_grasps(scene: Scene, tmp_path: Path) -> None:
     gripper = _hand(tmp_path)
     config = TrialConfig(trials=1)
-    for backend in ("mujoco", "bullet"):
+    for engine in ("mujoco", "bullet"):
         trials = run_trials(
-            scene, _grasp((0.0, 0.0, 0.025)), backend, gripper=gripper, config=config
+            scene, _grasp((0.0, 0.0, 0.025)), engine, gripper=gripper, config=config
         )
         assert trials.outcome[0, 0] == Outcome.SUCCESS
         assert trials.opening[0] == pytest.approx(0.03, abs=3e-4)
@@ -307,10 +307,10 @@ def test_wrong_configurations_are_refused() -> None:
 
 
 def test_a_dataset_records_the_engine(tmp_path: Path) -> None:
-    config = replace(small_config(tmp_path / "cache"), backend="bullet")
+    config = replace(small_config(tmp_path / "cache"), engine="bullet")
     generate(write_meshes(tmp_path, 1), tmp_path / "out", config)
     dataset = read_dataset(tmp_path / "out")
-    assert dataset.info["backend"] == "bullet"
+    assert dataset.info["engine"] == "bullet"
     assert dataset.info["packages"]["pybullet"] == version("pybullet")
     assert np.any(dataset.grasps().column("sim_success").to_numpy() > 0)
 
@@ -322,13 +322,14 @@ def test_without_pybullet_one_line_says_what_to_install(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not installed
-    for module in ("bullet", "bullet_world"):
-        monkeypatch.delitem(sys.modules, f"gmdx.trials.{module}")
+    for module in ("engine", "world"):
+        monkeypatch.delitem(sys.modules, f"gmdx.trials.engines.bullet.{module}")
+    monkeypatch.delattr("gmdx.trials.engines.bullet.engine")
     with pytest.raises(UsageError, match=r"pip install 'gmdx\[bullet\]'.* Python up to 3\.11"):
         run_trials(scene, _grasp((0.0, 0.0, 0.025)), "bullet")
     with pytest.raises(UsageError, match=r"gmdx\[bullet\]"):
-        generate(["bundled:cup"], tmp_path / "out", GenerateConfig(backend="bullet"))
-    assert main(["bench", "trials", "bundled:cup", "--backend", "bullet"]) != 0
+        generate(["bundled:cup"], tmp_path / "out", GenerateConfig(engine="bullet"))
+    assert main(["bench", "trials", "bundled:cup", "--engine", "bullet"]) != 0
     error = capsys.readouterr().err
     assert "gmdx[bullet]" in error
     assert "Traceback" not in error

@@ -216,17 +216,17 @@ def test_tilted_faces_slip_where_coulomb_says_if_it_says_one_thing(
     assert ratio == pytest.approx(1.0, abs=0.05) if unique else 0.4 < ratio < 1.05
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "bullet"])
+@pytest.mark.parametrize("engine", ["mujoco", "bullet"])
 @pytest.mark.parametrize(("friction", "jams"), [(0.4, False), (1.0, True)])
 def test_a_crooked_box_jams_where_both_friction_cones_hold_the_line_between_its_contacts(
-    backend: str, friction: float, jams: bool
+    engine: str, friction: float, jams: bool
 ) -> None:
     # Pads of 20 mm meet a box 30 mm thick at opposite corners: a line at arctan(20 / 30).
     angle = 0.1
     edge = np.arctan2(0.02, 0.03) + angle
     assert (np.arctan(friction) > edge) == jams
     scene = resting_scene(box_object(BOX, friction=friction))
-    trials = run_trials(scene, _middle(width=0.06, angle=angle), backend, trials=1)
+    trials = run_trials(scene, _middle(width=0.06, angle=angle), engine, trials=1)
     turn = trials.object_quaternion[0, [Snapshot.CLOSING, Snapshot.CLOSED]]
     left = angle - _between(turn[0], turn[1])
     assert left > 0.8 * angle if jams else abs(left) < 0.1 * angle

@@ -1,4 +1,4 @@
-"""Without what MJX needs: one line that says what to install, and `auto` falls back."""
+"""Without what an engine or kernel needs: one line that says what to install; `auto` falls back."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ def site(missing: str, tmp_path: Path) -> Path:
     import mujoco
 
     if missing == "warp":
-        pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
+        pytest.importorskip("warp", reason="the extra gmdx[warp] is not installed")
     installed = Path(mujoco.__file__).parents[1]
     site = tmp_path / "site"
     site.mkdir()
@@ -51,18 +51,18 @@ def _python(site: Path, code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, env=env, capture_output=True, text=True, check=False, cwd=site)
 
 
+@pytest.mark.parametrize("missing", ["warp", "mjx"], indirect=True)
 def test_a_missing_package_is_named(missing: str, site: Path) -> None:
-    impl = "jax" if missing == "jax" else "warp"
     done = _python(
         site,
-        "from gmdx.trials.run import open_engine\n"
+        "from gmdx.trials.engines.registry import open_engine\n"
         "from gmdx.errors import UsageError\n"
-        f"try: open_engine('mjx', impl='{impl}')\n"
+        "try: open_engine('warp')\n"
         "except UsageError as error: print(error)\n",
     )
     assert done.returncode == 0, done.stderr
-    name = {"warp": "warp-lang", "mjx": "mujoco-mjx", "jax": "jax"}[missing]
-    expected = f"implementation '{impl}' needs {name}: pip install 'gmdx[mjx]'"
+    name = {"warp": "warp-lang", "mjx": "mujoco-mjx"}[missing]
+    expected = f"engine 'warp' needs {name}: pip install 'gmdx[warp]'"
     assert done.stdout.count("\n") == 1
     assert expected in done.stdout
 
@@ -70,7 +70,7 @@ def test_a_missing_package_is_named(missing: str, site: Path) -> None:
 def test_auto_falls_back(site: Path) -> None:
     done = _python(
         site,
-        "from gmdx.trials.run import choose, open_engine\n"
+        "from gmdx.trials.engines.registry import choose, open_engine\n"
         "print(choose('auto'), type(open_engine('auto')).__name__)\n",
     )
     assert done.stdout.split() == ["mujoco", "MujocoEngine"], done.stderr
@@ -85,6 +85,6 @@ def test_array_kernels_name_a_missing_jax(missing: str, site: Path) -> None:
     done = _python(site, code)
     if missing == "jax":
         assert done.stdout.split() == ["numpy"]
-        assert "needs jax: pip install 'gmdx[mjx]'" in done.stderr.splitlines()[-1]
+        assert "needs jax: pip install 'gmdx[jax]'" in done.stderr.splitlines()[-1]
     else:
         assert done.stdout.split() == ["numpy", "jax"]

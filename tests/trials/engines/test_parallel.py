@@ -1,4 +1,4 @@
-"""MJX against C MuJoCo, and what its engine does with batches, whoever computes them."""
+"""What the engine of trials side by side does with batches, whoever computes them."""
 
 import gc
 import logging
@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-pytest.importorskip("warp", reason="the extra gmdx[mjx] is not installed")
-pytest.importorskip("mujoco.mjx", reason="the extra gmdx[mjx] is not installed")
+pytest.importorskip("warp", reason="the extra gmdx[warp] is not installed")
+pytest.importorskip("mujoco.mjx", reason="the extra gmdx[warp] is not installed")
 
 from gmdx.errors import ConfigError, DeviceMemoryError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
@@ -56,7 +56,7 @@ def grasps() -> list[PlanarGrasp]:
 
 @pytest.fixture(scope="module")
 def mixed(scenes: list[Scene], grasps: list[PlanarGrasp]) -> list[TrialResults]:
-    return run_trials(scenes, grasps, "mjx", impl="warp", trials=2)
+    return run_trials(scenes, grasps, "warp", trials=2)
 
 
 def _same(a: TrialResults, b: TrialResults) -> None:
@@ -77,14 +77,14 @@ def test_mixed_and_separate_runs_agree_trial_by_trial(
     scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
 ) -> None:
     for scene, some, found in zip(scenes, grasps, mixed, strict=True):
-        _same(found, run_trials(scene, some, "mjx", impl="warp", trials=2))
+        _same(found, run_trials(scene, some, "warp", trials=2))
 
 
 @ON_CPU
 def test_batches_change_no_trial(
     scenes: list[Scene], grasps: list[PlanarGrasp], mixed: list[TrialResults]
 ) -> None:
-    found = run_trials(scenes, grasps, "mjx", impl="warp", trials=2, batch_size=5)
+    found = run_trials(scenes, grasps, "warp", trials=2, parallel_trials=5)
     for one, other in zip(found, mixed, strict=True):
         _same(one, other)
 
@@ -137,10 +137,10 @@ def test_a_device_that_is_full_gets_smaller_batches(
     at_launch: bool,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    backend = ParallelEngine("warp")
-    backend.implementation = small = _Small(5, at_launch=at_launch)
+    small = _Small(5, at_launch=at_launch)
+    engine = ParallelEngine("warp", small)
     with caplog.at_level(logging.WARNING, logger="gmdx"):
-        found = run_trials(scenes[:1], grasps[:1], backend, trials=2)
+        found = run_trials(scenes[:1], grasps[:1], engine, trials=2)
     assert small.opened == [16, 8, 4]
     assert len([text for text in caplog.messages if "side by side" in text]) == 2
     _same(found[0], mixed[0])
@@ -149,10 +149,9 @@ def test_a_device_that_is_full_gets_smaller_batches(
 def test_a_device_without_any_room_is_an_error(
     scenes: list[Scene], grasps: list[PlanarGrasp]
 ) -> None:
-    backend = ParallelEngine("warp")
-    backend.implementation = _Small(0, at_launch=True)
+    engine = ParallelEngine("warp", _Small(0, at_launch=True))
     with pytest.raises(DeviceMemoryError, match="no room"):
-        run_trials(scenes[:1], grasps[:1], backend, trials=1)
+        run_trials(scenes[:1], grasps[:1], engine, trials=1)
 
 
 def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarGrasp]) -> None:
@@ -175,9 +174,8 @@ def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarG
             worlds.launch = noted  # type: ignore[method-assign]
             return worlds
 
-    backend = ParallelEngine("warp")
-    backend.implementation = Counted(16, at_launch=True)
-    (found,) = run_trials(scenes[:1], grasps[:1], backend, trials=2)
+    engine = ParallelEngine("warp", Counted(16, at_launch=True))
+    (found,) = run_trials(scenes[:1], grasps[:1], engine, trials=2)
     assert ran == found.steps
     gripper, config = load_gripper(), TrialConfig(trials=2)
     schedule = place(scenes[0], grasps[0], gripper=gripper, config=config).schedule(config)
@@ -187,48 +185,38 @@ def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarG
 def test_no_scenes_and_no_grasps_are_no_results(
     scenes: list[Scene], grasps: list[PlanarGrasp]
 ) -> None:
-    assert run_trials([], [], "mjx", impl="warp") == []
-    (found,) = run_trials(scenes[:1], [grasps[0][:0]], "mjx", impl="warp")
+    assert run_trials([], [], "warp") == []
+    (found,) = run_trials(scenes[:1], [grasps[0][:0]], "warp")
     assert len(found) == 0
 
 
-def test_names_of_backends() -> None:
-    assert str(choose("mjx", "jax")) == str(choose("mjx-jax")) == "mjx-jax"
-    assert choose("mujoco").impl is None
-    for wrong in ("mjy", "mjx-cuda", "mjx-"):
-        with pytest.raises(ConfigError, match=rf"unknown backend '{wrong}'.*mjx, .*mjx-warp"):
+def test_names_of_engines() -> None:
+    for name in ("mujoco", "warp", "bullet"):
+        assert choose(name) == name
+    for wrong in ("mjy", "mjx", "mjx-warp", ""):
+        with pytest.raises(ConfigError, match=rf"unknown engine '{wrong}'.*mujoco, warp, bullet"):
             choose(wrong)
-    for backend, impl in (("mujoco", "jax"), ("bullet", "warp"), ("mjx-jax", "warp")):
-        with pytest.raises(ConfigError, match=f"implementation '{impl}' is of backend 'mjx', not"):
-            choose(backend, impl)
-    with pytest.raises(ConfigError, match=r"unknown implementation 'cuda'.*auto, warp, jax"):
-        choose("mjx", "cuda")
 
 
-def test_auto_is_mjx_where_there_is_an_accelerator(
+def test_auto_is_warp_where_there_is_a_device_for_it(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 0)
-    monkeypatch.setattr("gmdx.machine.devices.accelerator", lambda: None)
-    assert str(choose("auto")) == "mujoco"
+    monkeypatch.setattr("gmdx.trials.engines.registry.cuda_devices", lambda: 0)
+    assert choose("auto") == "mujoco"
     with caplog.at_level(logging.INFO, logger="gmdx"):
         open_engine("auto")
-    assert "backend auto: mujoco runs the trials" in caplog.text
-    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 1)
-    assert str(choose("auto")) == "mjx-warp"
-    monkeypatch.setattr("gmdx.machine.devices.cuda_devices", lambda: 0)
-    monkeypatch.setattr("gmdx.machine.devices.accelerator", lambda: "tpu")
-    assert str(choose("auto")) == str(choose("mjx")) == "mjx-jax"
+    assert "engine auto: mujoco runs the trials" in caplog.text
+    monkeypatch.setattr("gmdx.trials.engines.registry.cuda_devices", lambda: 1)
+    assert choose("auto") == "warp"
 
 
-@pytest.mark.parametrize("impl", ["warp", "jax"])
-def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound(impl: str) -> None:
+def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound() -> None:
     """The ramp is no whole number of chunks long."""
     scene = resting_scene(box_object((0.03, 0.04, 0.05), friction=2.6))
     grasp = PlanarGrasp(np.zeros(1, int), np.array([[0, 0, 0.025]]), np.zeros(1), np.full(1, 0.05))
     config = TrialConfig(trials=1)
     reference = run_trials(scene, grasp, config=config)
-    found = run_trials(scene, grasp, "mjx", impl=impl, config=config)
+    found = run_trials(scene, grasp, "warp", config=config)
     assert reference.push_force_is_lower_bound[0]
     assert found.push_force_is_lower_bound[0]
     assert found.push_force[0] == reference.push_force[0] == pytest.approx(60.0)
@@ -237,7 +225,6 @@ def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound(impl: str) -
 def test_a_cancelled_run_ends_at_its_next_launch(
     scenes: list[Scene], grasps: list[PlanarGrasp]
 ) -> None:
-    backend = ParallelEngine("warp")
     launched = 0
 
     class Watched(_Small):
@@ -250,15 +237,15 @@ def test_a_cancelled_run_ends_at_its_next_launch(
             def noted(*arrays: np.ndarray) -> Callable[[], ChunkResult]:
                 nonlocal launched
                 launched += 1
-                backend.cancel()
+                engine.cancel()
                 return launch(*arrays)
 
             worlds.launch = noted  # type: ignore[method-assign]
             return worlds
 
-    backend.implementation = Watched(16, at_launch=True)
+    engine = ParallelEngine("warp", Watched(16, at_launch=True))
     with pytest.raises(Cancelled):
-        run_trials(scenes[:1], grasps[:1], backend, trials=1)
+        run_trials(scenes[:1], grasps[:1], engine, trials=1)
     assert launched == 1
 
 
@@ -277,12 +264,11 @@ def test_a_smaller_batch_gets_the_memory_of_the_larger_one(
             held.extend(weakref.ref(part) for part in worlds.worlds.parts)  # type: ignore[attr-defined]
             return worlds
 
-    backend = ParallelEngine("warp")
-    backend.implementation = Watched(5, at_launch=True)
+    engine = ParallelEngine("warp", Watched(5, at_launch=True))
     gc.collect()
     gc.disable()
     try:
-        run_trials(scenes[:1], grasps[:1], backend, trials=2)
+        run_trials(scenes[:1], grasps[:1], engine, trials=2)
     finally:
         gc.enable()
     assert len(held) == 3
