@@ -80,7 +80,7 @@ METRIC_COLUMNS = tuple(
 BOUNDS = tuple(
     Column(f"{metric.name}_{side}", pa.float64(), metric.unit, f"proven {side} bound of "
            f"{metric.name}")
-    for metric in METRICS if metric.stage == "epsilon" for side in ("lower", "upper")
+    for metric in METRICS if metric.is_quality for side in ("lower", "upper")
 )  # fmt: skip
 OUTCOME = (
     Column("force_is_lower_bound", pa.bool_(), "", "whether the push ended before the object came "

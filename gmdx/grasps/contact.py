@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from gmdx_kernels.closing_lines import IMPLEMENTATIONS, FirstTouch, closing_lines, pad_grid
 
-from gmdx.arrays import Array, Float
+from gmdx.arrays import Array, Float, Int
 from gmdx.errors import ConfigError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.machine.devices import check_implementation, implementation
@@ -58,6 +58,10 @@ class ClosingContacts:
     center: PadContacts  # k = 1: the closing line through the grasp's centre
     pads: PadContacts  # k = lines of the grid: every first-touch point of each pad
     implementation: str  # of gmdx_kernels.closing_lines that found them
+
+    def __getitem__(self, rows: slice | Int[Array, "m"]) -> "ClosingContacts":
+        """The contacts of some of the grasps."""
+        return replace(self, center=self.center[rows], pads=self.pads[rows])
 
 
 def closing_contacts(

@@ -1,10 +1,27 @@
 """The 36 metrics, declared once: everything that names a metric reads this table."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 Kind = Literal["priori", "posteriori", "comparative"]
-Stage = Literal["object", "grasp", "contact", "epsilon", "trial"]
+Stage = Literal["object", "grasp", "contact", "epsilon", "trial", "trial_epsilon"]
+
+# In the order of their cost. Contacts are found before trials, and comparative metrics need both.
+STAGES: tuple[Stage, ...] = ("object", "grasp", "contact", "epsilon", "trial", "trial_epsilon")
+QUALITY_STAGES: tuple[Stage, ...] = ("epsilon", "trial_epsilon")
+TRIAL_STAGES: tuple[Stage, ...] = ("trial", "trial_epsilon")  # of which trials are the input
+STAGE_NEEDS: Mapping[Stage, tuple[Stage, ...]] = MappingProxyType(
+    {
+        "object": (),
+        "grasp": ("object",),
+        "contact": ("object",),
+        "epsilon": ("contact",),
+        "trial": ("contact",),
+        "trial_epsilon": ("trial",),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -15,8 +32,13 @@ class Metric:
     name: str  # the paper's
     kind: Kind
     unit: str  # "" for a ratio or a count
-    stage: Stage  # the stage of the pipeline that pays for it
+    stage: Stage  # that pays for it
     definition: str
+
+    @property
+    def is_quality(self) -> bool:
+        """Whether it is an epsilon quality, with proved bounds beside it."""
+        return self.stage in QUALITY_STAGES
 
 
 def _norm(number: int, of: Metric) -> Metric:
@@ -120,7 +142,7 @@ METRICS: tuple[Metric, ...] = tuple(
             _S_OFFSET,
             _norm(21, _S_OFFSET),
             Metric(22, "real_s_offset_a", "posteriori", "rad", "trial", "angle between the simulative contacts' axis and the closing axis, in the object's frame"),
-            Metric(23, "real_s_quality", "posteriori", "", "epsilon", "epsilon quality of the simulative grasp: its contact points and normals"),
+            Metric(23, "real_s_quality", "posteriori", "", "trial_epsilon", "epsilon quality of the simulative grasp: its contact points and normals"),
             Metric(24, "clo_ori_comfort", "posteriori", "rad", "trial", "rotation of the object during closing"),
             Metric(25, "lif_ori_stability", "posteriori", "rad", "trial", "rotation of the object relative to the gripper during lift and hold"),
             _MOVED,

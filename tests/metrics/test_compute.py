@@ -11,7 +11,7 @@ from gmdx.grasps.contact import LineConfig
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
 from gmdx.metrics.quality import QualityConfig
-from gmdx.metrics.table import METRIC_NAMES, METRICS
+from gmdx.metrics.table import METRIC_NAMES, METRICS, STAGES
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.trials.outcome import Outcome
@@ -401,6 +401,57 @@ def test_table_names_its_columns_and_refuses_others() -> None:
         compute_metrics(scene, grasps, _still_trials(scene, grasps[:1]))
     with pytest.raises(MetricError, match="in another order"):
         compute_metrics(scene, grasps, _still_trials(scene, grasps[::-1]))
+
+
+def _stage_names(*stages: str) -> set[str]:
+    return {metric.name for metric in METRICS if metric.stage in stages}
+
+
+def test_stages_give_what_is_asked_and_what_it_rests_on() -> None:
+    scene = resting_scene(box_object(EXTENTS))
+    grasps = _grasps(scene, np.zeros((2, 3)), np.zeros(2), 0.0)
+    whole = _priori(scene, grasps)
+    cheap = compute_metrics(scene, grasps, stages=("grasp",))
+    assert set(cheap.values) == _stage_names("object", "grasp")
+    assert cheap.outcomes is None
+    assert cheap.contacts is None
+    priori = compute_metrics(scene, grasps)
+    assert set(priori.values) == {metric.name for metric in METRICS if metric.kind == "priori"}
+    assert set(priori.evidence.qualities) == {"g_quality", "real_d_quality"}
+    without = compute_metrics(scene, grasps, _still_trials(scene, grasps), stages=("trial",))
+    assert set(without.values) == _stage_names("object", "contact", "trial")
+    for table in (cheap, priori, without):
+        for name, value in table.values.items():
+            np.testing.assert_array_equal(value, whole[name], err_msg=name)
+    with pytest.raises(MetricError, match=r"'force' was not computed.*'trial'.*object, grasp"):
+        cheap["force"]
+
+
+def test_a_cascade_goes_on_with_the_grasps_that_are_left() -> None:
+    scene = resting_scene(box_object(EXTENTS))
+    grasps = _grasps(scene, np.array([[0, 0, 0], [0, 0, 0.004], [0.003, 0, 0]]), np.zeros(3), 0.1)
+    whole = _priori(scene, grasps)
+    left = np.array([2, 0])
+    known = compute_metrics(scene, grasps, stages=("contact", "epsilon")).take(left)
+    trials = _still_trials(scene, grasps[left])
+    rest = compute_metrics(scene, grasps[left], trials, known=known)
+    assert tuple(rest.values) == METRIC_NAMES
+    assert rest.stages == STAGES
+    for name, value in rest.values.items():
+        np.testing.assert_array_equal(value, whole[name][left], err_msg=name)
+    assert "contact" not in rest.cost  # was paid before
+    assert set(rest.evidence.qualities) == {"real_s_quality"}
+    with pytest.raises(MetricError, match="known metrics of 2, or in another order"):
+        compute_metrics(scene, grasps[left[::-1]], known=known)
+
+
+def test_stages_that_cannot_be_computed_are_refused() -> None:
+    scene = resting_scene(box_object(EXTENTS))
+    grasps = _grasps(scene, np.zeros((1, 3)), np.zeros(1), 0.0)
+    with pytest.raises(MetricError, match="stage 'trial' needs trials"):
+        compute_metrics(scene, grasps, stages=("trial_epsilon",))
+    with pytest.raises(MetricError, match=r"no stage 'quality': there are object, grasp"):
+        compute_metrics(scene, grasps, stages=("quality",))
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:

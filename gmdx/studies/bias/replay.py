@@ -178,7 +178,7 @@ def _part(rows: pa.Table, scene: Scene, trials: TrialResults, metric: MetricConf
     columns: dict[str, Any] = {name: rows[name] for name in KEY}
     columns |= {m.name: table[m.name] for m in COMPARED}
     columns |= {name: table.extra[name] for name in ("force_is_lower_bound", "valid_trials")}
-    columns["outcomes"] = [[_LABELS[o] for o in row] for row in table.outcomes]
+    columns["outcomes"] = [[_LABELS[o] for o in row] for row in trials.outcome]
     poses = np.concatenate([trials.object_position, trials.object_quaternion], axis=2)
     columns["poses"] = list(poses.reshape(len(rows), -1))
     columns["tool"] = list(trials.tool_position.reshape(len(rows), -1))

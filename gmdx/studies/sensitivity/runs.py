@@ -8,7 +8,7 @@ import numpy as np
 from gmdx.arrays import Array, Float
 from gmdx.errors import GmdxError
 from gmdx.grasps.sample import sample_grasps
-from gmdx.metrics.compute import motion_metrics, outcome_metrics
+from gmdx.metrics.formulas import motion_metrics, outcome_metrics
 from gmdx.objects.prepare import CacheOption, PrepareConfig, prepare
 from gmdx.objects.sources.source import ObjectSource
 from gmdx.scenes.gripper import Gripper
