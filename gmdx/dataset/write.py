@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,26 @@ from gmdx.dataset.store import writing
 from gmdx.errors import DatasetError
 from gmdx.files.formats import json_text, sync_folder, write_npz, write_ply, write_text
 from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.metrics.compute import MetricTable
 from gmdx.metrics.quality import Evidence
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.camera import DepthImage
 from gmdx.scenes.scene import Scene
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.results import TrialResults
+
+_LABELS = np.array([outcome.label for outcome in Outcome], dtype=object)
+
+
+@dataclass(frozen=True)
+class _OpenScene:
+    """A scene that is being written."""
+
+    scene: Scene
+    images: Sequence[DepthImage]
+    spool: Path  # what its grasps are written to first
+    stream: Any  # the writer of that file
+    grasps: int = 0  # written
 
 
 class ObjectWriter:
@@ -41,49 +57,55 @@ class ObjectWriter:
         self._spools: list[Path] = []
         self._scenes: list[dict[str, Any]] = []
         self._images: list[Sequence[DepthImage]] = []
+        self._open: _OpenScene | None = None
         with writing(folder):
             folder.mkdir(parents=True)
 
-    def write_scene(
-        self,
-        scene: Scene,
-        images: Sequence[DepthImage],
-        batches: Iterable[tuple[PlanarGrasp, Mapping[str, Array]]],
-    ) -> None:
-        """Write one scene: its views, and its grasps with their columns, batch by batch.
-
-        Args:
-            scene: The scene.
-            images: A view each.
-            batches: Grasps, and all columns of the schema past the grasp itself, by name.
-                Whatever drawing a batch raises passes through and leaves nothing behind.
-        """
+    def begin_scene(self, scene: Scene, images: Sequence[DepthImage]) -> None:
+        """Begin a scene with its views; its grasps follow, a block at a time."""
         spool = self._folder / f"scene{scene.scene_id}.arrow"
-        count = 0
-        try:
-            with writing(self._folder):
-                stream = pa.ipc.new_stream(spool, schema.SCHEMA)
-            for grasps, columns in batches:
-                table = rows(scene, grasps, columns)
-                with writing(self._folder):
-                    stream.write_table(table)
-                count += len(grasps)
-            with writing(self._folder):
-                stream.close()
-        except BaseException:
-            spool.unlink(missing_ok=True)
-            raise
-        self._spools.append(spool)
-        self._images.append(images)
+        with writing(self._folder):
+            stream = pa.ipc.new_stream(spool, schema.SCHEMA)
+        self._open = _OpenScene(scene, images, spool, stream)
+
+    def add_grasps(self, grasps: PlanarGrasp, trials: TrialResults, table: MetricTable) -> None:
+        """Write a block of grasps of the scene that was begun."""
+        at = self._scene
+        labels = _LABELS[trials.outcome]
+        block = rows(at.scene, grasps, {**table.values, **table.extra, "outcomes": labels})
+        with writing(self._folder):
+            at.stream.write_table(block)
+        self._open = replace(at, grasps=at.grasps + len(grasps))
+
+    def end_scene(self) -> None:
+        """Keep the scene that was begun."""
+        at = self._scene
+        with writing(self._folder):
+            at.stream.close()
+        self._spools.append(at.spool)
+        self._images.append(at.images)
         self._scenes.append(
             {
-                "scene_id": scene.scene_id,
-                "position": scene.position,
-                "quaternion": scene.quaternion,
-                "settle_time": scene.settle_time,
-                "grasps": count,
+                "scene_id": at.scene.scene_id,
+                "position": at.scene.position,
+                "quaternion": at.scene.quaternion,
+                "settle_time": at.scene.settle_time,
+                "grasps": at.grasps,
             }
         )
+        self._open = None
+
+    def drop_scene(self) -> None:
+        """Leave nothing of the scene that was begun."""
+        if self._open is not None:
+            self._open.spool.unlink(missing_ok=True)
+            self._open = None
+
+    @property
+    def _scene(self) -> "_OpenScene":
+        if self._open is None:
+            raise DatasetError("no scene was begun: call begin_scene before its grasps")
+        return self._open
 
     @property
     def grasps(self) -> int:

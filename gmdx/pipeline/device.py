@@ -14,9 +14,19 @@ from dataclasses import dataclass
 from typing import cast
 
 from gmdx.errors import GmdxError
+from gmdx.machine.clock import Seconds
 from gmdx.machine.processes import LATER, Finished, Later, run_tasks
-from gmdx.pipeline.annotate import Begun, Ended, Task, Tried, begin, failure, finish, lost
+from gmdx.pipeline.annotate import finish, set_up
 from gmdx.pipeline.config import GenerateConfig
+from gmdx.pipeline.stages import (
+    ObjectOutcome,
+    ReadyObject,
+    SceneTrials,
+    Task,
+    TriedObject,
+    failure,
+    lost,
+)
 from gmdx.trials.engines.parallel import OBJECTS, Cancelled, ParallelEngine
 from gmdx.trials.engines.registry import open_engine
 from gmdx.trials.results import TrialResults
@@ -28,7 +38,7 @@ _PATIENCE = 30.0  # s, for the device's thread to end at its next look when a ru
 
 def annotate_in_batches(
     tasks: Iterator[Task], config: GenerateConfig, *, workers: int
-) -> Generator[Finished[Task, Ended], None, None]:
+) -> Generator[Finished[Task, ObjectOutcome], None, None]:
     """Annotate objects, their trials on a device in batches across objects.
 
     Args:
@@ -43,7 +53,7 @@ def annotate_in_batches(
     _LOG.info("trials run on %s", engine.version)
     schedule = _Schedule(tasks, device)
     # What is not known yet is no task that a worker sees.
-    stream = cast(Iterator[Task | Tried], schedule.next_tasks())
+    stream = cast(Iterator[Task | TriedObject], schedule.next_tasks())
     try:
         with contextlib.closing(run_tasks(_on_host, stream, workers=workers)) as items:
             for item in items:
@@ -56,16 +66,27 @@ def annotate_in_batches(
         device.close()
 
 
-def _on_host(task: Task | Tried) -> Begun | Ended:
+def _on_host(task: Task | TriedObject) -> ReadyObject | ObjectOutcome:
     """What a worker process does: everything before an object's trials, or everything after."""
-    return begin(task) if isinstance(task, Task) else finish(task)
+    return set_up(task) if isinstance(task, Task) else finish(task)
+
+
+def _tried(ready: ReadyObject, results: Sequence[TrialResults]) -> TriedObject:
+    """An object with the results of its scenes' trials, whose seconds are the device's."""
+    scenes = tuple(
+        SceneTrials(at.scene, at.grasps, found)
+        for at, found in zip(ready.scenes, results, strict=True)
+    )
+    spent = {"trials": sum(found.seconds for found in results)}
+    seconds = ready.seconds + Seconds(spent, spent)
+    return TriedObject(ready.task, ready.object, scenes, ready.failures, seconds)
 
 
 @dataclass(frozen=True)
 class _Batch:
     """Objects whose trials run together, and then what came of them."""
 
-    objects: Sequence[tuple[Task, Begun]]
+    objects: Sequence[tuple[Task, ReadyObject]]
     results: Sequence[tuple[TrialResults, ...] | Exception] = ()
 
 
@@ -76,12 +97,12 @@ class _Schedule:
         self._tasks, self._device = tasks, device
         self._more = True  # tasks to begin
         self._beginning = self._on_device = 0  # objects
-        self._ready: list[tuple[Task, Begun]] = []
-        self._tried: deque[Tried] = deque()
+        self._ready: list[tuple[Task, ReadyObject]] = []
+        self._tried: deque[TriedObject] = deque()
         self._finishing = 0
-        self._failed: list[Finished[Task, Ended]] = []
+        self._failed: list[Finished[Task, ObjectOutcome]] = []
 
-    def next_tasks(self) -> Iterator[Task | Tried | Later]:
+    def next_tasks(self) -> Iterator[Task | TriedObject | Later]:
         """Finishing comes first, as it frees memory; then a batch is made while one is running."""
         while True:
             self._collect()
@@ -101,20 +122,22 @@ class _Schedule:
                 return
             yield LATER
 
-    def take(self, item: Finished[Task | Tried, Begun | Ended]) -> Finished[Task, Ended] | None:
+    def take(
+        self, item: Finished[Task | TriedObject, ReadyObject | ObjectOutcome]
+    ) -> Finished[Task, ObjectOutcome] | None:
         """Note what a worker did; the end of an object, where it was that."""
         if isinstance(item.task, Task):
             self._beginning -= 1
-            if isinstance(item.result, Begun):
+            if isinstance(item.result, ReadyObject):
                 self._ready.append((item.task, item.result))
                 return None
             return Finished(item.task, item.result)
         self._finishing -= 1
-        if isinstance(item.result, Begun):
+        if isinstance(item.result, ReadyObject):
             raise TypeError("an object was begun again instead of finished")
         return Finished(item.task.task, item.result)
 
-    def failed(self) -> Iterator[Finished[Task, Ended]]:
+    def failed(self) -> Iterator[Finished[Task, ObjectOutcome]]:
         """Objects whose trials could not be run."""
         while self._failed:
             yield self._failed.pop()
@@ -139,7 +162,7 @@ class _Schedule:
                 why = failure(task.source.object_id, None, "trials", result)
                 self._failed.append(Finished(task, lost(*begun.failures, why)))
             else:
-                self._tried.append(Tried(task, begun, result))
+                self._tried.append(_tried(begun, result))
 
 
 class _Device:
@@ -185,7 +208,7 @@ class _Device:
                 return
 
     def _run(
-        self, objects: Sequence[tuple[Task, Begun]]
+        self, objects: Sequence[tuple[Task, ReadyObject]]
     ) -> Sequence[tuple[TrialResults, ...] | Exception]:
         """Trials of all objects at once; if that fails, of one after the other, to find out why.
 
@@ -204,10 +227,10 @@ class _Device:
         return [one if isinstance(one, Exception) else one[0] for one in alone]
 
     def _together(
-        self, objects: Sequence[tuple[Task, Begun]]
+        self, objects: Sequence[tuple[Task, ReadyObject]]
     ) -> Sequence[tuple[TrialResults, ...]] | Exception:
         """Trials in one call, or the error without what it refers to on the device."""
-        pairs = [pair for _, begun in objects for pair in begun.scenes]
+        pairs = [(at.scene, at.grasps) for _, begun in objects for at in begun.scenes]
         try:
             results = run_trials(
                 [scene for scene, _ in pairs],

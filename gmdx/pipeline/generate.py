@@ -16,9 +16,10 @@ from gmdx.machine.processes import Crash, Finished, run_tasks
 from gmdx.objects.prepare import content_hash
 from gmdx.objects.sources.resolve import resolve
 from gmdx.objects.sources.source import ObjectSource
-from gmdx.pipeline.annotate import Ended, Task, annotate, lost
+from gmdx.pipeline.annotate import annotate
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.pipeline.device import annotate_in_batches
+from gmdx.pipeline.stages import ObjectOutcome, Task, lost
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
 from gmdx.trials.engines.registry import AUTO, ENGINES, choose, open_engine
 
@@ -131,7 +132,7 @@ def generate(
 
 def _annotated(
     tasks: Iterator[Task], config: GenerateConfig, count: int
-) -> Generator[Finished[Task, Ended], None, None]:
+) -> Generator[Finished[Task, ObjectOutcome], None, None]:
     """Objects as they are done, on the processor alone or with a device for the trials."""
     workers = min(config.workers, max(count, 1))
     if not ENGINES[config.engine].parallel:
@@ -156,7 +157,7 @@ def _refuse_another(store: DatasetStore, source: ObjectSource) -> None:
         )
 
 
-def _crashed(object_id: str, crash: Crash) -> Ended:
+def _crashed(object_id: str, crash: Crash) -> ObjectOutcome:
     """The end of an object whose worker process died."""
     return lost(Failure(object_id, None, "worker", "WorkerCrash", str(crash)))
 

@@ -1,7 +1,11 @@
 """What an engine found about some grasps."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Any
+
+import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.grasps.grasp import PadContacts
@@ -58,4 +62,22 @@ class TrialResults:
         )  # fmt: skip
 
 
-_WHOLE = ("gripper", "engine", "steps", "step_seconds", "seconds")  # not a row a grasp
+def joined_results(parts: Sequence[TrialResults]) -> TrialResults:
+    """Results of more grasps by one engine and gripper, one record after the other."""
+    sums: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in _SUMS}
+    contacts = [part.contacts for part in parts]
+    arrays: dict[str, Any] = {
+        item.name: np.concatenate([getattr(part, item.name) for part in parts])
+        for item in fields(TrialResults)
+        if item.name not in (*_WHOLE, "contacts")
+    }
+    joined = PadContacts(
+        points=np.concatenate([pads.points for pads in contacts]),
+        normals=np.concatenate([pads.normals for pads in contacts]),
+        valid=np.concatenate([pads.valid for pads in contacts]),
+    )
+    return replace(parts[0], **arrays, **sums, contacts=joined)
+
+
+_SUMS = ("steps", "step_seconds", "seconds")
+_WHOLE = ("gripper", "engine", *_SUMS)  # not a row a grasp
