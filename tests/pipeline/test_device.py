@@ -16,8 +16,8 @@ from gmdx.dataset.read import read_dataset
 from gmdx.errors import SceneError
 from gmdx.machine.devices import cuda_devices
 from gmdx.pipeline import device as batched
-from gmdx.pipeline.stages import Task
 from gmdx.pipeline.generate import GenerateConfig, generate
+from gmdx.pipeline.stages import Task
 from gmdx.trials.engines.parallel import ParallelEngine
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
