@@ -45,10 +45,11 @@ class GenerateConfig:
         if self.sampler not in SAMPLERS:
             known = ", ".join(SAMPLERS)
             raise ConfigError(f"unknown sampler {self.sampler!r}; give one of {known}")
-        chosen = choose(self.engine)
-        if self.parallel_trials is not None and not ENGINES[chosen].parallel:
+        choose(self.engine)
+        named = ENGINES.get(self.engine)  # `auto` has none
+        if self.parallel_trials is not None and named is not None and not named.parallel:
             names = " or ".join(name for name, entry in ENGINES.items() if entry.parallel)
-            raise ConfigError(f"parallel_trials is of the engine {names}, not of {chosen!r}")
+            raise ConfigError(f"parallel_trials is of the engine {names}, not of {self.engine!r}")
         if self.trial.trials not in (TrialConfig().trials, self.trials):
             raise ConfigError("set `trials` of the whole run, not of [trial]")
         if self.settle.physics not in (PhysicsConfig(), self.trial.physics):
@@ -61,9 +62,11 @@ class GenerateConfig:
 
     def resolved(self) -> "GenerateConfig":
         """The same run with what stages share, and what `auto` stands for, written into each."""
+        engine = choose(self.engine)
         return replace(
             self,
-            engine=choose(self.engine),
+            engine=engine,
+            parallel_trials=self.parallel_trials if ENGINES[engine].parallel else None,
             trial=replace(self.trial, trials=self.trials),
             settle=replace(self.settle, physics=self.trial.physics),
             sample=replace(self.sample, lines=self.sample.lines.resolved()),

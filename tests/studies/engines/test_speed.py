@@ -64,7 +64,7 @@ def test_the_trials_of_all_objects_are_counted_as_they_run_alone(scenes: list[Sc
     assert row.steps == sum(results.steps for results in alone)
     assert row.success == np.mean(outcomes == Outcome.SUCCESS)
     assert row.failed == 0
-    assert row.engine == f"mujoco {mujoco.__version__}"
+    assert row.version == f"mujoco {mujoco.__version__}"
     assert (row.compiled, row.cached, row.compiled_again, row.device_bytes) == (None,) * 4
     assert row.trials_per_second * row.seconds == pytest.approx(12)
     assert row.steps_per_second * row.seconds == pytest.approx(row.steps)
