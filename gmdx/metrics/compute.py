@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class MetricConfig:
     """How the metrics are computed."""
 
-    lines: LineConfig = field(default_factory=LineConfig)  # of the intersection-line analysis
+    lines: LineConfig = field(default_factory=LineConfig)  # of the analysis; sampling asks it too
     quality: QualityConfig = field(default_factory=QualityConfig)  # of the epsilon qualities
 
     def resolved(self) -> "MetricConfig":
@@ -96,10 +96,10 @@ def compute_metrics(
     """All 36 metrics of n grasps.
 
     Args:
-        scene: The object at rest.
+        scene: The object at rest, under the physics that contacts have.
         grasps: n grasps of that scene.
         trials: Their trials, which also say with which gripper.
-        config: Contact patch, tolerances, lines.
+        config: Tolerances, lines.
 
     Raises:
         MetricError: The trials are not those of these grasps.
@@ -141,7 +141,7 @@ def compute_metrics(
     }
     with clock.stage("epsilon"):
         audited = audit_sample(scene, grasps.grasp_id, share=quality.audit)
-        qualities = pad_qualities(sets, obj, audited=audited, config=quality)
+        qualities = pad_qualities(sets, scene, audited=audited, config=quality)
     clock.attribute("audit", qualities.audit_seconds, of="epsilon")
     for name, found in qualities.by_name.items():
         values[name] = found.upper

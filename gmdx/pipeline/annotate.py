@@ -86,8 +86,14 @@ def annotate(task: Task) -> Ended:
     config = task.config
 
     def run(scene: Scene, grasps: PlanarGrasp, rows: slice) -> TrialResults:
-        batch, gripper = grasps[rows], task.gripper
-        return run_trials(scene, batch, config.engine, gripper=gripper, config=config.trial)
+        return run_trials(
+            scene,
+            grasps[rows],
+            config.engine,
+            trials=config.trials,
+            gripper=task.gripper,
+            config=config.trial,
+        )
 
     costs = Costs()
     try:
@@ -148,15 +154,17 @@ def _set_up(obj: ObjectModel, scene_id: int, costs: Costs, task: Task) -> tuple[
     """The object at rest, and grasps on it."""
     config = task.config
     with costs.stage("settle"):
-        scene = settle(obj, config.seed, scene_id=scene_id, config=config.settle)
+        scene = settle(
+            obj, config.seed, scene_id=scene_id, physics=config.physics, config=config.settle
+        )
     with costs.stage("sample"):
         grasps = sample_grasps(
             scene,
             config.grasps,
-            config.seed,
             sampler=config.sampler,
             gripper=task.gripper,
             config=config.sample,
+            lines=config.metric.lines,
         )
     return scene, grasps
 
