@@ -7,6 +7,7 @@ import trimesh
 
 from gmdx.geometry import matrix_quaternion, quaternion_matrix, quaternion_multiply, yaw_quaternion
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -75,11 +76,13 @@ def resting_scene(
     yaw: float = 0.0,
     scene_id: int = 0,
     seed: int = 0,
+    physics: PhysicsConfig | None = None,
 ) -> Scene:
     """The object in the given orientation, then turned by `yaw` rad, its lowest point on z = 0."""
     turned = quaternion_multiply(yaw_quaternion(np.array(yaw)), np.asarray(quaternion, float))
     lowest = float((obj.vertices @ quaternion_matrix(turned).T)[:, 2].min())
-    return Scene(obj, scene_id, seed, np.array([0.0, 0.0, -lowest]), turned, 0.0)
+    physics = PhysicsConfig() if physics is None else physics
+    return Scene(obj, scene_id, seed, np.array([0.0, 0.0, -lowest]), turned, 0.0, physics)
 
 
 def scaled_object(obj: ObjectModel, factor: float) -> ObjectModel:

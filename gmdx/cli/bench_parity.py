@@ -68,7 +68,6 @@ class Parity:
                 refuse_idle_sizes,
                 refuse_less_than_one,
             )
-            from gmdx.trials.protocol import TrialConfig
 
         engines, gripper = names(self.engine), load_gripper(self.gripper)
         sizes = (
@@ -87,7 +86,7 @@ class Parity:
                 engines=engines,
                 grasps=self.grasps,
                 gripper=gripper,
-                config=TrialConfig(trials=self.trials),
+                trials=self.trials,
                 threads=self.threads,
                 floor=self.floor,
                 parallel_trials=sizes[0] if sizes else None,

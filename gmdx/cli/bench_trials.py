@@ -72,7 +72,6 @@ class Trials:
                 refuse_less_than_one,
             )
             from gmdx.studies.engines.speed import trial_figures
-            from gmdx.trials.protocol import TrialConfig
 
         engines, gripper = names(self.engine), load_gripper(self.gripper)
         sizes = (
@@ -88,7 +87,7 @@ class Trials:
                 scenes,
                 grasps=self.grasps,
                 gripper=gripper,
-                config=TrialConfig(trials=self.trials),
+                trials=self.trials,
                 engines=engines,
                 parallel_trials=sizes,
                 threads=self.threads,

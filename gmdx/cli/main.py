@@ -344,7 +344,7 @@ class Sensitivity:
         str, arg(metavar="NAME,NAME,...", help_behavior_hint="(default: all)")
     ] = ""
     """what to vary: friction, mass, closing_force, pose_noise, angle_noise, grasp_height,
-    closing_speed, lift_time, timestep, impratio, solref, solimp, torsion_radius, hulls.
+    closing_speed, lift_time, timestep, impratio, solref, solimp, patch_radius, hulls.
     seed comes along: what it does is chance"""
     method: str = "morris"
     """morris screens, sobol shares out the variance, oat draws curves one at a time"""

@@ -1,7 +1,7 @@
 """Reading a dataset: nothing is loaded before it is asked for."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +9,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gmdx.config import merge
 from gmdx.dataset import schema
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import read_failures
-from gmdx.errors import DatasetError, UsageError
+from gmdx.errors import ConfigError, DatasetError, UsageError
 from gmdx.files.formats import read_json, read_npz, read_ply
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.scenes.camera import DepthImage
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 
@@ -56,6 +58,25 @@ class Dataset:
     def failures(self) -> list[Failure]:
         """The objects and scenes that were not produced."""
         return read_failures(self.root)
+
+    @property
+    def physics(self) -> PhysicsConfig:
+        """Under which every scene was settled and tried.
+
+        Raises:
+            DatasetError: `dataset.json` does not say, or not in a way that this version knows.
+        """
+        given = self.info["configuration"].get("physics", {})
+        unsaid = sorted({field.name for field in fields(PhysicsConfig)} - set(given))
+        if unsaid:
+            raise DatasetError(
+                f"{self.root / schema.DATASET_FILE} does not say under which physics its scenes "
+                f"are: configuration.physics lacks {', '.join(unsaid)}; make the dataset anew"
+            )
+        try:
+            return merge(PhysicsConfig(), given, where="physics")
+        except ConfigError as error:
+            raise DatasetError(f"{self.root / schema.DATASET_FILE}: {error}") from error
 
     def scenes(self, object_id: str) -> tuple[int, ...]:
         """Ids of an object's scenes.
@@ -186,6 +207,7 @@ class Dataset:
             position=pose[:3],
             quaternion=pose[3:],
             settle_time=float(arrays["settle_time"][k]),
+            physics=self.physics,
         )
         return SceneView(scene=scene, images=images)
 

@@ -9,7 +9,6 @@ from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.layout import HEIGHT_QPOS, OBJECT_QPOS, GraspModel
-from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 
@@ -31,7 +30,7 @@ def collides(
         model: The compiled gripper with this object, where the caller has it already.
     """
     if model is None:
-        model = grasp_model(scene.object, gripper, PhysicsConfig())
+        model = grasp_model(scene.object, gripper, scene.physics)
     positions, quaternions = object_in_gripper(scene, grasps.center, grasps.angle)
     fingers = gripper.finger_positions(grasps.width)
     body = model.model.geom_bodyid

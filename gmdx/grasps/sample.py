@@ -7,7 +7,7 @@ and the first n of the dense ones cover positions, angles and heights evenly.
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,10 +23,10 @@ from gmdx.rng import generator
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.layout import GraspModel
-from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 
 SAMPLERS = ("dense", "antipodal")
+DEFAULT_SAMPLER = SAMPLERS[0]
 
 _LOG = logging.getLogger("gmdx")
 _MARGIN = 0.001  # m, around the fingers' swept boxes: the hulls lie that close to the surface
@@ -43,7 +43,6 @@ class SampleConfig:
     least_table_clearance: float = 0.0012  # m, where half the object's height is less than that
     colliding_share: float = 0.15  # of the grasps, at most: those at which the gripper collides
     surface_points: int = 4000  # random ones that, with the vertices, decide on the opening
-    lines: LineConfig = field(default_factory=LineConfig)  # find out what is between the pads
 
     def __post_init__(self) -> None:
         if self.candidates < 1 or self.surface_points < 1:
@@ -59,13 +58,13 @@ class SampleConfig:
 def sample_grasps(
     scene: Scene,
     n: int,
-    seed: int = 0,
     *,
-    sampler: str = "dense",
+    sampler: str = DEFAULT_SAMPLER,
     gripper: Gripper | None = None,
     config: SampleConfig | None = None,
+    lines: LineConfig | None = None,
 ) -> PlanarGrasp:
-    """Choose n grasps of a scene's object, the same ones for the same seed, object and scene.
+    """Choose n grasps of a scene's object, the same ones for the same scene and its seed.
 
     `dense` spreads the tool point over the object's silhouette, its height from just above the
     table to the object's top, and the angle over half a turn. `antipodal` takes pairs of surface
@@ -78,10 +77,11 @@ def sample_grasps(
     Args:
         scene: The object at rest.
         n: How many; fewer are returned, with a warning, if the object has no more.
-        seed: The run's seed.
         sampler: `dense` or `antipodal`.
         gripper: The hand; the default one if None.
         config: Clearances and shares.
+        lines: The intersection-line analysis, by which a candidate misses the object or not: as for
+            the metrics, so that every grasp has analytical contacts.
 
     Returns:
         The grasps in the order of `grasp_id`, which is the number of the candidate.
@@ -98,10 +98,10 @@ def sample_grasps(
     gripper = load_gripper() if gripper is None else gripper
     obj = scene.object
     key = (obj.object_id, "scene", scene.scene_id, "grasps")
-    place = _workplace(scene, gripper, config, generator(seed, *key))
+    place = _workplace(scene, gripper, config, lines, generator(scene.seed, *key))
 
     kept = _Kept()
-    for candidates in _stream(place, sampler, generator(seed, *key, sampler)):
+    for candidates in _stream(place, sampler, generator(scene.seed, *key, sampler)):
         kept.add(_opened(place, candidates), place)
         if len(kept) >= n:
             break
@@ -126,6 +126,7 @@ class _Workplace:
     scene: Scene
     gripper: Gripper
     config: SampleConfig
+    lines: LineConfig
     model: GraspModel
     hand: HandShape
     surface: Surface  # in the world
@@ -134,15 +135,20 @@ class _Workplace:
 
 
 def _workplace(
-    scene: Scene, gripper: Gripper, config: SampleConfig, rng: np.random.Generator
+    scene: Scene,
+    gripper: Gripper,
+    config: SampleConfig,
+    lines: LineConfig | None,
+    rng: np.random.Generator,
 ) -> _Workplace:
-    model = grasp_model(scene.object, gripper, PhysicsConfig())
+    model = grasp_model(scene.object, gripper, scene.physics)
     surface = surface_of(scene.to_world(scene.object.vertices), scene.object.faces)
     drawn = random_points(surface, config.surface_points, rng)
     return _Workplace(
         scene=scene,
         gripper=gripper,
         config=config,
+        lines=LineConfig() if lines is None else lines,
         model=model,
         hand=hand_shape(model),
         surface=surface,
@@ -179,9 +185,7 @@ def _opened(place: _Workplace, candidates: Candidates) -> PlanarGrasp:
         ]
     ).reshape(len(candidates))
     grasps = PlanarGrasp(candidates.number, candidates.center, candidates.angle, 2 * half)
-    contacts = closing_contacts(
-        place.scene, grasps, gripper=place.gripper, config=place.config.lines
-    )
+    contacts = closing_contacts(place.scene, grasps, gripper=place.gripper, config=place.lines)
     return grasps[contacts.pads.both]
 
 

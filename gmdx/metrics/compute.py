@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 class MetricConfig:
     """How the metrics are computed."""
 
-    lines: LineConfig = field(default_factory=LineConfig)  # of the intersection-line analysis
+    lines: LineConfig = field(default_factory=LineConfig)  # of the analysis; sampling asks it too
     quality: QualityConfig = field(default_factory=QualityConfig)  # of the epsilon qualities
 
     def resolved(self) -> "MetricConfig":
@@ -129,7 +129,7 @@ def compute_metrics(
     """The metrics of n grasps: all 36, or those of some stages.
 
     Args:
-        scene: The object at rest.
+        scene: The object at rest, under the physics that contacts have.
         grasps: n grasps of that scene.
         trials: Their trials; without them there are the stages before trials only.
         stages: Of `STAGES`; what they rest on is computed with them. By default all that there is
@@ -189,7 +189,7 @@ def compute_metrics(
     if sets:
         with clock.stage("epsilon"):  # together, as pairs of contacts are valued in bulk
             audited = audit_sample(scene, grasps.grasp_id, share=quality.audit)
-            found = pad_qualities(sets, obj, audited=audited, config=quality)
+            found = pad_qualities(sets, scene, audited=audited, config=quality)
         for name, one in found.by_name.items():
             values[name] = one.upper
             extra |= {f"{name}_lower": one.lower, f"{name}_upper": one.upper}

@@ -15,7 +15,6 @@ from gmdx.metrics.epsilon._certify import NEAR_ZERO
 from gmdx.metrics.epsilon.certified import check_effort, epsilon
 from gmdx.metrics.epsilon.many import epsilon_batch
 from gmdx.metrics.epsilon.patch import essential_contacts
-from gmdx.objects.model import ObjectModel
 from gmdx.rng import generator
 from gmdx.scenes.scene import Scene
 
@@ -24,21 +23,18 @@ _TINY = NEAR_ZERO  # of the unit force: a quality no larger is stored as 0, with
 
 @dataclass(frozen=True)
 class QualityConfig:
-    """What the qualities assume, how tightly they are bounded, and how they are computed.
+    """How tightly the qualities are bounded, and how they are computed.
 
-    The torsional friction of a contact is gamma = 2/3 x friction x patch radius; torques are
-    divided by the object's largest vertex distance from its centre of mass.
+    What they assume is the scene's: friction is the object's, and so is torsion, by the physics;
+    torques are divided by the object's largest vertex distance from its centre of mass.
     """
 
-    patch_radius: float = 0.005  # m, of a soft finger's contact patch
     rtol_pair: float = 1e-4  # relative gap of the bounds on a quality of two contacts
     rtol_patch: float = 1e-2  # relative gap of the bounds on a quality of many contacts
     implementation: str = "auto"  # for pairs: numpy or jax; auto: jax on an accelerator
     audit: float = 0.1  # share of the kernel's values that the certified routine computes too
 
     def __post_init__(self) -> None:
-        if not 0 < self.patch_radius < np.inf:
-            raise ConfigError(f"patch_radius must be a length > 0 m, not {self.patch_radius}")
         for name in ("rtol_pair", "rtol_patch"):
             try:
                 check_effort(getattr(self, name), 0)
@@ -129,7 +125,7 @@ class PadSet:
 
 def pad_qualities(
     sets: Mapping[str, PadSet],
-    obj: ObjectModel,
+    scene: Scene,
     *,
     audited: Bool[Array, "n"],
     config: QualityConfig,
@@ -145,12 +141,13 @@ def pad_qualities(
 
     Args:
         sets: n grasps each, by name. They are computed together, pairs of contacts in bulk.
-        obj: Its friction, and the length that divides torques.
+        scene: Its object has friction, and the length that divides torques; its physics torsion.
         audited: Grasps whose value is computed by the certified routine too, if it is the
             bulk kernel's.
-        config: Contact patch and implementation; the latter resolved.
+        config: Tolerances and implementation; the latter resolved.
     """
-    torsion = 2.0 / 3.0 * obj.friction * config.patch_radius
+    obj = scene.object
+    torsion = scene.physics.torsion(obj.friction)
     both, essential, reduced = {}, [], {}
     for name, each in sets.items():
         start = time.process_time()

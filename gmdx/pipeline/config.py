@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from gmdx.errors import ConfigError
-from gmdx.grasps.sample import SAMPLERS, SampleConfig
+from gmdx.grasps.sample import DEFAULT_SAMPLER, SAMPLERS, SampleConfig
 from gmdx.metrics.compute import MetricConfig
 from gmdx.objects.prepare import CacheOption, PrepareConfig
 from gmdx.scenes.camera import CameraConfig
@@ -11,7 +11,7 @@ from gmdx.scenes.gripper import DEFAULT_GRIPPER
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.settle import SettleConfig
 from gmdx.trials.engines.registry import DEFAULT_ENGINE, ENGINES, choose
-from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.protocol import TRIALS, TrialConfig
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,17 @@ class GenerateConfig:
 
     grasps: int = 64  # per scene
     scenes: int = 2  # per object, each from a random orientation
-    trials: int = 5  # per grasp: the nominal one, and the rest with pose noise
+    trials: int = TRIALS  # per grasp: the nominal one, and the rest with pose noise
     seed: int = 0  # of every random number
     gripper: str = DEFAULT_GRIPPER  # a shipped gripper's name, or the path of a description
-    sampler: str = "dense"  # how grasps are proposed: dense or antipodal
+    sampler: str = DEFAULT_SAMPLER  # how grasps are proposed: dense or antipodal
     engine: str = DEFAULT_ENGINE  # what runs the trials: mujoco, warp, bullet or auto
     workers: int = 1  # processes; 1 is this process. Without effect on results
     block: int = 256  # grasps worked on together: memory against speed. Without effect on results
     parallel_trials: int | None = None  # side by side on a device; None: what it has room for
     cache: CacheOption = "user"  # folder of prepared objects; "user": the user's own
     prepare: PrepareConfig = field(default_factory=PrepareConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)  # of settling, trials and metrics
     settle: SettleConfig = field(default_factory=SettleConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
     sample: SampleConfig = field(default_factory=SampleConfig)
@@ -50,25 +51,13 @@ class GenerateConfig:
         if self.parallel_trials is not None and named is not None and not named.parallel:
             names = " or ".join(name for name, entry in ENGINES.items() if entry.parallel)
             raise ConfigError(f"parallel_trials is of the engine {names}, not of {self.engine!r}")
-        if self.trial.trials not in (TrialConfig().trials, self.trials):
-            raise ConfigError("set `trials` of the whole run, not of [trial]")
-        if self.settle.physics not in (PhysicsConfig(), self.trial.physics):
-            raise ConfigError("set [trial.physics], which settling shares, not [settle.physics]")
-        if self.metric.quality.patch_radius != self.trial.physics.torsion_radius:
-            raise ConfigError(
-                "[metric.quality] patch_radius and [trial.physics] torsion_radius are one length, "
-                "the radius of a contact's patch: set both to the same"
-            )
 
     def resolved(self) -> "GenerateConfig":
-        """The same run with what stages share, and what `auto` stands for, written into each."""
+        """The same run with what `auto` stands for on this machine."""
         engine = choose(self.engine)
         return replace(
             self,
             engine=engine,
             parallel_trials=self.parallel_trials if ENGINES[engine].parallel else None,
-            trial=replace(self.trial, trials=self.trials),
-            settle=replace(self.settle, physics=self.trial.physics),
-            sample=replace(self.sample, lines=self.sample.lines.resolved()),
             metric=self.metric.resolved(),
         )

@@ -236,6 +236,7 @@ class _Device:
                 [scene for scene, _ in pairs],
                 [grasps for _, grasps in pairs],
                 self.engine,
+                trials=self._config.trials,
                 gripper=objects[0][0].gripper,
                 config=self._config.trial,
             )

@@ -177,7 +177,6 @@ def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
 
 def _kernel_packages(config: GenerateConfig) -> list[str]:
     """Packages that the chosen implementations of array kernels rest on, besides NumPy."""
-    lines = {config.sample.lines.implementation, config.metric.lines.implementation}
-    chosen = {*lines, config.metric.quality.implementation}
+    chosen = {config.metric.lines.implementation, config.metric.quality.implementation}
     needs = (("embree", "embreex"), ("jax", "jax"), ("jax", "jaxlib"))
     return [package for name, package in needs if name in chosen]

@@ -106,7 +106,13 @@ class Stages:
         """The object at rest on the table."""
         config = self.task.config
         return self.clock.run(
-            "settle", settle, obj, config.seed, scene_id=scene_id, config=config.settle
+            "settle",
+            settle,
+            obj,
+            config.seed,
+            scene_id=scene_id,
+            physics=config.physics,
+            config=config.settle,
         )
 
     def sample(self, scene: Scene) -> PlanarGrasp:
@@ -117,9 +123,9 @@ class Stages:
             sample_grasps,
             scene,
             config.grasps,
-            config.seed,
             sampler=config.sampler,
             gripper=self.task.gripper,
+            lines=config.metric.lines,
             config=config.sample,
         )
 
@@ -134,6 +140,7 @@ class Stages:
                     scene,
                     grasps[rows],
                     config.engine,
+                    trials=config.trials,
                     gripper=self.task.gripper,
                     config=config.trial,
                 )

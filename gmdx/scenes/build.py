@@ -48,7 +48,7 @@ def table_and_object(obj: ObjectModel, physics: PhysicsConfig) -> mujoco.MjSpec:
     I = obj.inertia  # noqa: E741
     body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
     body.add_freejoint()
-    torsion = 2.0 / 3.0 * obj.friction * physics.torsion_radius
+    torsion = physics.torsion(obj.friction)
     for i, hull in enumerate(obj.hulls):
         spec.add_mesh(
             name=f"hull_{i}",

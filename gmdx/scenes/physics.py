@@ -1,4 +1,4 @@
-"""How contacts and steps are computed: settled once for scenes, trials and metrics."""
+"""How contacts and steps are computed: one setting, which a scene carries to all that follows."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,15 @@ GRAVITY = 9.81  # m/s^2
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """How contacts and steps are computed; the closed forms in the tests hold at the defaults."""
+    """How contacts and steps are computed; the closed forms in the tests hold at the defaults.
+
+    Sliding friction is the object's own.
+    """
 
     timestep: float = 0.004  # s
     cone: str = "elliptic"  # of friction; pyramids are refused, see `__post_init__`
     impratio: float = 10.0  # stiffness of friction over that of the normal: small lets grips creep
-    torsion_radius: float = 0.005  # m, of a contact patch: torsional coefficient = 2/3 mu radius
+    patch_radius: float = 0.005  # m, of a soft finger's contact patch, which resists torsion
     solref: tuple[float, float] = (0.01, 1.0)  # s, damping ratio, of contacts
     solimp: tuple[float, float, float] = (0.99, 0.999, 0.001)  # of contacts: 0.1 mm deep at 20 N
     iterations: int = 50
@@ -40,5 +43,15 @@ class PhysicsConfig:
         if self.cone != "elliptic":
             raise ConfigError(f"physics: unknown cone {self.cone!r}; give elliptic")
         for name, value in vars(self).items():
-            if name != "cone" and not np.all(np.asarray(value) > 0):
-                raise ConfigError(f"physics: {name} must be positive, got {value}")
+            if name != "cone" and not np.all((np.asarray(value) > 0) & np.isfinite(value)):
+                raise ConfigError(f"physics: {name} must be positive and finite, got {value}")
+
+    def torsion(self, friction: float) -> float:
+        """Torsional friction of a contact (m): its largest moment over its normal force.
+
+        That of a round patch under even pressure, 2/3 x friction x radius.
+
+        Args:
+            friction: The sliding coefficient.
+        """
+        return 2.0 / 3.0 * friction * self.patch_radius

@@ -7,11 +7,16 @@ import numpy as np
 from gmdx.arrays import Array, Float
 from gmdx.geometry import quaternion_matrix
 from gmdx.objects.model import ObjectModel
+from gmdx.scenes.physics import PhysicsConfig
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One object at rest on the table z = 0, its centre of mass above the world's origin."""
+    """One object at rest on the table z = 0, its centre of mass above the world's origin.
+
+    It carries the physics under which it rests, so that grasps, trials and metrics of it cannot
+    be computed under another; `dataclasses.replace` gives the same scene under other physics.
+    """
 
     object: ObjectModel
     scene_id: int
@@ -19,6 +24,7 @@ class Scene:
     position: Float[Array, "3"]  # m, of the centre of mass (the object frame's origin)
     quaternion: Float[Array, "4"]  # wxyz, object to world
     settle_time: float  # s, simulated until rest
+    physics: PhysicsConfig  # of its contacts, wherever it is simulated or valued
 
     @property
     def rotation(self) -> Float[Array, "3 3"]:

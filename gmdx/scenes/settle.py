@@ -1,7 +1,7 @@
 """An object falls onto the table from a random orientation and comes to rest."""
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -43,12 +43,11 @@ class SettleConfig:
     max_time: float = 10.0  # s of simulation, after which the object counts as never settling
     table_radius: float = 0.5  # m, from under the start to the table's edge
     max_speed: float = 20.0  # m/s, beyond which the simulation has diverged
-    physics: PhysicsConfig = field(default_factory=PhysicsConfig)  # of the trials
 
     def __post_init__(self) -> None:
         may_be_zero = ("drop_height", "rotation_damping")
         for name, value in vars(self).items():
-            if name != "physics" and not (value > 0 or (value == 0 and name in may_be_zero)):
+            if not (value > 0 or (value == 0 and name in may_be_zero)):
                 raise ConfigError(f"settling: {name} must be positive, got {value}")
 
 
@@ -70,7 +69,12 @@ def lowest_points(scene: Scene) -> LowestPoints:
 
 
 def settle(
-    obj: ObjectModel, seed: int = 0, *, scene_id: int = 0, config: SettleConfig | None = None
+    obj: ObjectModel,
+    seed: int = 0,
+    *,
+    scene_id: int = 0,
+    physics: PhysicsConfig | None = None,
+    config: SettleConfig | None = None,
 ) -> Scene:
     """Drop the object onto the table and wait until it rests.
 
@@ -78,6 +82,8 @@ def settle(
         obj: The object.
         seed: The run's seed; with the object's id and `scene_id` it fixes the orientation.
         scene_id: Which of the object's scenes.
+        physics: Under which the object is to rest, and which the scene carries to its trials and
+            metrics; the default one if not given.
         config: How it falls and when it counts as settled.
 
     Returns:
@@ -87,13 +93,14 @@ def settle(
         SceneError: The object never settled, left the table or diverged; the message says which.
     """
     config = SettleConfig() if config is None else config
+    physics = PhysicsConfig() if physics is None else physics
     rng = generator(seed, obj.object_id, "scene", scene_id, "orientation")
     where = f"object {obj.object_id!r}, scene {scene_id}"
     try:
-        model = scene_model(obj, config.physics)
+        model = scene_model(obj, physics)
     except ValueError as error:
         raise SceneError(f"{where}: MuJoCo cannot simulate the object: {error}") from error
-    fall = Fall(obj, model, random_quaternion(rng), config)
+    fall = Fall(obj, random_quaternion(rng), model=model, physics=physics, config=config)
     with quiet_warnings():
         rest = _come_to_rest(fall, model, config, where)
     return Scene(
@@ -103,6 +110,7 @@ def settle(
         position=np.array([0.0, 0.0, rest.qpos[2]]),
         quaternion=rest.qpos[3:] / np.linalg.norm(rest.qpos[3:]),
         settle_time=float(rest.time),
+        physics=physics,
     )
 
 
@@ -142,14 +150,16 @@ class Fall:
     def __init__(
         self,
         obj: ObjectModel,
-        model: mujoco.MjModel,
         quaternion: Float[Array, "4"],
+        *,
+        model: mujoco.MjModel,
+        physics: PhysicsConfig,
         config: SettleConfig,
     ) -> None:
         self.model: mujoco.MjModel = copy(model)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self.radius = obj.radius
-        self._config = config
+        self._physics, self._config = physics, config
         self._vertices = np.concatenate(obj.hulls)
         self.steps = 0
         self._rotation = np.zeros(9)
@@ -193,7 +203,7 @@ class Fall:
         Two steps is the shortest time constant that is stable; the damping ratio keeps the
         stiffness that contacts have in the trials, 1 / (time constant * ratio)^2.
         """
-        time_constant, ratio = self._config.physics.solref
+        time_constant, ratio = self._physics.solref
         self.model.opt.timestep = timestep
         self.model.geom_solref[:] = 2 * timestep, max(1.0, time_constant * ratio / (2 * timestep))
 

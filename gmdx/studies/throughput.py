@@ -176,7 +176,7 @@ def line_figures(
     Raises:
         GmdxError: The grasps could not be sampled.
     """
-    batch = sample_grasps(scene, grasps, scene.seed, gripper=gripper)
+    batch = sample_grasps(scene, grasps, gripper=gripper)
     obj, offsets = scene.object, pad_grid(gripper.pad_size, LineConfig().grid)
     center = scene.to_object(batch.center)
     axis = scene.direction_to_object(batch.axis)

@@ -34,6 +34,7 @@ class Execution:
         self, stepper: Stepper, batches: Sequence[TrialBatch], config: TrialConfig
     ) -> None:
         self.stepper, self.batches, self.config = stepper, tuple(batches), config
+        self.timestep = self.batches[0].physics.timestep  # of all, as of the engine
         self.layout = stepper.sensors
         self.nq, nv = stepper.size
         sizes = [len(batch) for batch in batches]
@@ -177,7 +178,7 @@ class Execution:
         strength = along(phases[0].force)
         offset = along(observations.from_tool(self.state[:, 1 : 1 + self.nq]))
 
-        dt = self.config.physics.timestep
+        dt = self.timestep
         last_velocity = along(self.state[:, 1 + self.nq :][:, :3])
 
         def watch(
@@ -226,11 +227,12 @@ class Execution:
         """
         lengths = np.array([len(phase) for phase in phases])
         failed, overflowed = [], []
-        for start in range(0, int(lengths.max()), self.config.chunk):
+        chunk = self.config.chunk(self.timestep)
+        for start in range(0, int(lengths.max()), chunk):
             rows = rows[lengths[self.batch_of[rows]] > start]
             if len(rows) == 0:
                 break
-            count = np.minimum(lengths[self.batch_of[rows]] - start, self.config.chunk)
+            count = np.minimum(lengths[self.batch_of[rows]] - start, chunk)
             span = slice(start, start + int(count.max()))
             found = self._step(rows, phases, span, count)
             steps = found.steps

@@ -4,16 +4,20 @@ The gripper's frame turns and shifts with each grasp: its z axis is the world's,
 on the table below the tool point, its x axis is the closing axis. The table is z = 0 in it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gmdx.arrays import Array, Bool, Float, Int
+from gmdx.config import as_dict, differences
+from gmdx.errors import UsageError
 from gmdx.geometry import quaternion_matrix, quaternion_multiply, yaw_quaternion
 from gmdx.grasps.collide import object_in_gripper
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.gripper import Gripper
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 from gmdx.trials.perturb import perturb
 from gmdx.trials.protocol import Schedule, TrialConfig, compile_schedule
@@ -21,9 +25,10 @@ from gmdx.trials.protocol import Schedule, TrialConfig, compile_schedule
 
 @dataclass(frozen=True)
 class TrialBatch:
-    """m trials of one object with one gripper."""
+    """m trials of one object with one gripper, under its scene's physics."""
 
     object: ObjectModel
+    physics: PhysicsConfig
     gripper: Gripper
     nominal: Bool[Array, "m"]  # pushed at the end
     center: Float[Array, "m 3"]  # m, world, of the executed (perturbed) grasp
@@ -41,6 +46,7 @@ class TrialBatch:
         """The one schedule that every trial of the batch follows, on every engine."""
         return compile_schedule(
             config,
+            physics=self.physics,
             stroke=self.gripper.stroke,
             closing_force=self.gripper.force,
             descent=self.descent,
@@ -77,10 +83,10 @@ class RawTrials:
 
 
 def place(
-    scene: Scene, grasps: PlanarGrasp, *, gripper: Gripper, config: TrialConfig
+    scene: Scene, grasps: PlanarGrasp, *, trials: int, gripper: Gripper, config: TrialConfig
 ) -> TrialBatch:
     """The trials of a batch of grasps, grasp by grasp, seen from the gripper."""
-    centers, angles = perturb(scene, grasps, trials=config.trials, noise=config.noise)
+    centers, angles = perturb(scene, grasps, trials=trials, noise=config.noise)
     center, angle = centers.reshape(-1, 3), angles.reshape(-1)
 
     position, quaternion = object_in_gripper(scene, center, angle)
@@ -88,16 +94,34 @@ def place(
     start = np.maximum(top + gripper.tip, center[:, 2]) + config.clearance
     return TrialBatch(
         object=scene.object,
+        physics=scene.physics,
         gripper=gripper,
-        nominal=np.tile(np.arange(config.trials) == 0, len(grasps)),
+        nominal=np.tile(np.arange(trials) == 0, len(grasps)),
         center=center,
         angle=angle,
         object_pose=np.concatenate([position, quaternion], axis=1),
         grasp_height=center[:, 2],
         start_height=start,
-        opening=np.repeat(grasps.width, config.trials),
+        opening=np.repeat(grasps.width, trials),
         descent=top + config.clearance,
     )
+
+
+def check_alike(batches: Sequence[TrialBatch]) -> None:
+    """Refuse batches that cannot be run in one call.
+
+    Raises:
+        UsageError: Their grippers or their physics differ; the message says in what.
+    """
+    for batch in batches[1:]:
+        if batch.gripper is not batches[0].gripper:
+            raise UsageError("the scenes of one call are grasped by one gripper")
+        if batch.physics != batches[0].physics:
+            lines = differences(as_dict(batches[0].physics), as_dict(batch.physics))
+            raise UsageError(
+                f"the scenes of one call are under one physics, and that of "
+                f"{batch.object.object_id!r} differs in {', '.join(lines)}: run them in two calls"
+            )
 
 
 def to_world(

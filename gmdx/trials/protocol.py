@@ -13,6 +13,8 @@ from gmdx.arrays import Array, Float
 from gmdx.errors import ConfigError
 from gmdx.scenes.physics import PhysicsConfig
 
+TRIALS = 5  # a grasp, unless told otherwise: the nominal one, and the rest with pose noise
+
 
 @dataclass(frozen=True)
 class NoiseConfig:
@@ -35,7 +37,6 @@ class NoiseConfig:
 class TrialConfig:
     """Durations, heights and forces of a trial."""
 
-    trials: int = 5  # the nominal one and the perturbed ones
     clearance: float = 0.005  # m, of the fingertips above the object where the approach starts
     approach_speed: float = 0.5  # m/s, mean
     closing_pause: float = 0.12  # s, after the fingers could have crossed the whole stroke
@@ -48,16 +49,13 @@ class TrialConfig:
     push_limit: float = 3.0  # closing forces, where the ramp ends
     push_distance: float = 0.003  # m, moved relative to the gripper: pushed out
     slip_speed: float = 0.01  # m/s, relative to the gripper: slip; slower is creep of soft contacts
-    chunk: int = 20  # steps between two looks at what has ended; a phase ends early only there
+    look_interval: float = 0.08  # s, between looks at what has ended; phases end early only there
     still_speed: float = 0.002  # m/s, and
     still_spin: float = 0.05  # rad/s: slower than both counts as not moving
     mad_speed: float = 30.0  # m/s: faster is a diverged simulation
     noise: NoiseConfig = field(default_factory=NoiseConfig)
-    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or self.chunk < 2:
-            raise ConfigError("trials must be at least 1 and chunk at least 2")
         may_be_zero = ("still_speed", "still_spin", "push_distance")
         for name, value in vars(self).items():
             number = isinstance(value, int | float)
@@ -65,6 +63,10 @@ class TrialConfig:
                 raise ConfigError(f"trial: {name} must be positive, got {value}")
         if abs(np.linalg.norm(self.push_direction) - 1.0) > 1e-9:
             raise ConfigError("push_direction must be a unit vector")
+
+    def chunk(self, timestep: float) -> int:
+        """Steps of `timestep` s between two looks: about the interval, and at least 2."""
+        return max(2, round(self.look_interval / timestep))
 
 
 @dataclass(frozen=True)
@@ -118,17 +120,22 @@ class Schedule:
 
 
 def compile_schedule(
-    config: TrialConfig, *, stroke: float, closing_force: float, descent: float
+    config: TrialConfig,
+    *,
+    physics: PhysicsConfig,
+    stroke: float,
+    closing_force: float,
+    descent: float,
 ) -> Schedule:
     """The phases as arrays.
 
     Args:
         config: Durations, heights and forces.
+        physics: Of the scene: the time step, the speed of closing, the height's servo.
         stroke: m, largest opening of the gripper.
         closing_force: N, of each pad.
         descent: m, from the start of the approach to the table: sets the approach's duration.
     """
-    physics = config.physics
     dt = physics.timestep
     closing = 2.0 * physics.closing_speed
     lifted = config.lift_height

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -15,8 +14,8 @@ from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.trials.engines.engine import Engine
 from gmdx.trials.engines.registry import DEFAULT_ENGINE, open_engine
-from gmdx.trials.placement import RawTrials, TrialBatch, place, to_world
-from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.placement import RawTrials, TrialBatch, check_alike, place, to_world
+from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults
 
 _LOG = logging.getLogger("gmdx")
@@ -28,7 +27,7 @@ def run_trials(
     grasps: PlanarGrasp,
     engine: str | Engine = ...,
     *,
-    trials: int | None = ...,
+    trials: int = ...,
     gripper: Gripper | None = ...,
     config: TrialConfig | None = ...,
     threads: int = ...,
@@ -42,7 +41,7 @@ def run_trials(
     grasps: Sequence[PlanarGrasp],
     engine: str | Engine = ...,
     *,
-    trials: int | None = ...,
+    trials: int = ...,
     gripper: Gripper | None = ...,
     config: TrialConfig | None = ...,
     threads: int = ...,
@@ -55,7 +54,7 @@ def run_trials(
     grasps: PlanarGrasp | Sequence[PlanarGrasp],
     engine: str | Engine = DEFAULT_ENGINE,
     *,
-    trials: int | None = None,
+    trials: int = TRIALS,
     gripper: Gripper | None = None,
     config: TrialConfig | None = None,
     threads: int = 1,
@@ -64,14 +63,14 @@ def run_trials(
     """Approach, close, lift, hold, and push the nominal trial's object out of the gripper.
 
     Args:
-        scenes: The object at rest, or several such, of any objects; a scene's seed keys the pose
-            noise.
+        scenes: The object at rest, or several such, of any objects but under one physics; a scene's
+            seed keys the pose noise.
         grasps: n grasps, or as many records of them as there are scenes. On a device the trials of
             all scenes run side by side, which changes no trial's result.
         engine: One of `ENGINES`, `auto`, or one that `open_engine` opened.
-        trials: Trials a grasp, instead of the configuration's.
+        trials: Trials a grasp: the nominal one, and the rest with pose noise.
         gripper: The default one if not given.
-        config: The protocol and its physics.
+        config: The protocol.
         threads: Of MuJoCo on the CPU; the results do not depend on it.
         parallel_trials: Side by side on a device; its memory decides if not given.
 
@@ -79,14 +78,16 @@ def run_trials(
         Results of the grasps; for several scenes a list of them, in their order.
 
     Raises:
-        UsageError: The engine is not known or not installed.
+        UsageError: The engine is not known or not installed, there is not one trial a grasp, or the
+            scenes differ in their physics.
         GraspError: A grasp is not finite, or wider than the gripper opens.
     """
     if isinstance(engine, str):
         engine = open_engine(engine, threads=threads, parallel_trials=parallel_trials)
     gripper = load_gripper() if gripper is None else gripper
     config = TrialConfig() if config is None else config
-    config = config if trials is None else replace(config, trials=trials)
+    if trials < 1:
+        raise UsageError(f"a grasp needs at least 1 trial, not {trials}")
     several = not isinstance(scenes, Scene)
     scene_list = list(scenes) if not isinstance(scenes, Scene) else [scenes]
     grasp_list = [grasps] if isinstance(grasps, PlanarGrasp) else list(grasps)
@@ -97,16 +98,15 @@ def run_trials(
 
     start = time.perf_counter()
     batches = [
-        place(scene, item, gripper=gripper, config=config)
+        place(scene, item, trials=trials, gripper=gripper, config=config)
         for scene, item in zip(scene_list, grasp_list, strict=True)
     ]
+    check_alike(batches)
     found = engine.run(batches, config=config)
     seconds = time.perf_counter() - start
     total = max(sum(raw.steps for raw in found), 1)
     results = [
-        _results(
-            item.grasp_id, batch, raw, config.trials, engine.version, seconds * raw.steps / total
-        )
+        _results(item.grasp_id, batch, raw, trials, engine.version, seconds * raw.steps / total)
         for item, batch, raw in zip(grasp_list, batches, found, strict=True)
     ]
     return results if several else results[0]

@@ -1,9 +1,11 @@
 """A dataset written from hand-made values, for tests of the files alone."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gmdx.config import as_dict
 from gmdx.dataset import schema
 from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import DatasetStore
@@ -11,10 +13,15 @@ from gmdx.dataset.write import ObjectWriter
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally
 from gmdx.scenes.camera import CameraConfig, render
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 from tests.support import box_object, resting_scene
 
-HEADER = {"seed": 3, "configuration": {"grasps": 10, "trial": {"step": 0.004}}}
+PHYSICS = PhysicsConfig(patch_radius=0.004)  # not the default, which nobody would have to read
+HEADER: dict[str, Any] = {
+    "seed": 3,
+    "configuration": {"grasps": 10, "trial": {"step": 0.004}, "physics": as_dict(PHYSICS)},
+}
 EVIDENCE = Evidence(
     kernels={"closing_lines": "numpy"},
     qualities={"g_quality": Tally(9, 7, 8, 2e-5, {"kernel": 9}, audited=2, worst_audit=3e-9)},
@@ -24,7 +31,7 @@ CAMERA = CameraConfig(width=32, height=24, views=2)
 
 def scene_of(object_id: str, scene_id: int = 0) -> Scene:
     obj = box_object((0.04, 0.05, 0.06), object_id=object_id)
-    return resting_scene(obj, yaw=0.1 * scene_id, scene_id=scene_id, seed=3)
+    return resting_scene(obj, yaw=0.1 * scene_id, scene_id=scene_id, seed=3, physics=PHYSICS)
 
 
 def grasps_of(n: int) -> PlanarGrasp:

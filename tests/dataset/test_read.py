@@ -1,6 +1,6 @@
 """What was written comes back, and what is not there is named."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,15 @@ from gmdx.dataset.read import Dataset, read_dataset
 from gmdx.errors import DatasetError
 from gmdx.metrics.table import METRICS
 from gmdx.scenes.camera import render
-from tests.dataset.hand_built import CAMERA, columns_of, grasps_of, scene_of, write_dataset
+from tests.dataset.hand_built import (
+    CAMERA,
+    HEADER,
+    PHYSICS,
+    columns_of,
+    grasps_of,
+    scene_of,
+    write_dataset,
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +52,19 @@ def test_objects_and_scenes_come_back_exactly(dataset: Dataset) -> None:
     assert len(view.images) == 2
     for k, image in enumerate(view.images):
         assert_same(image, render(expected, view=k, config=CAMERA))
+
+
+def test_physics_is_read_from_the_dataset_and_never_made_up(dataset: Dataset) -> None:
+    assert dataset.physics == dataset.scene("mug", 0).scene.physics == PHYSICS
+    configuration = HEADER["configuration"]
+    for physics, message in (
+        ({}, r"dataset\.json does not say .* lacks closing_acceleration, closing_speed"),
+        ({**configuration["physics"], "cone": "round"}, "unknown cone 'round'"),
+        ({**configuration["physics"], "colour": 3}, "unknown key 'physics.colour'"),
+    ):
+        info = {**HEADER, "configuration": {**configuration, "physics": physics}}
+        with pytest.raises(DatasetError, match=message):
+            replace(dataset, info=info).scene("mug", 0)
 
 
 def test_grasps_come_back_exactly(dataset: Dataset) -> None:

@@ -13,6 +13,7 @@ from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
 from gmdx.metrics.quality import QualityConfig
 from gmdx.metrics.table import METRIC_NAMES, METRICS, STAGES
 from gmdx.scenes.gripper import load_gripper
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.results import TrialResults
@@ -304,13 +305,13 @@ def test_turning_and_moving_the_world_keeps_the_priori_metrics(hammer: trimesh.T
 
 def test_twice_the_size_doubles_lengths_and_keeps_ratios(hammer: trimesh.Trimesh) -> None:
     obj = mesh_object(hammer)
-    scene, large = resting_scene(obj), resting_scene(scaled_object(obj, 2.0))
+    scene = resting_scene(obj)
+    # Twice the patch as well: it makes torsion, which is a length.
+    large = resting_scene(scaled_object(obj, 2.0), physics=PhysicsConfig(patch_radius=0.01))
     grasps = _some_grasps(scene, 12, 0.04)
     twice = replace(grasps, center=2 * grasps.center, width=2 * grasps.width)
     big_pads = replace(GRIPPER, pad_size=2 * GRIPPER.pad_size)
-    wide = MetricConfig(
-        lines=LineConfig(touch_tolerance=2e-3), quality=QualityConfig(patch_radius=0.01)
-    )
+    wide = MetricConfig(lines=LineConfig(touch_tolerance=2e-3))
     before = _priori(scene, grasps, gripper=GRIPPER)
     after = _priori(large, twice, gripper=big_pads, config=wide)
     assert np.isfinite(before["real_d_width"]).sum() > 3
@@ -455,8 +456,9 @@ def test_stages_that_cannot_be_computed_are_refused() -> None:
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ConfigError, match="patch_radius"):
-        QualityConfig(patch_radius=0.0)
+    for radius in (0.0, np.inf):
+        with pytest.raises(ConfigError, match="patch_radius"):
+            PhysicsConfig(patch_radius=radius)
     with pytest.raises(ConfigError, match="rtol_pair"):
         QualityConfig(rtol_pair=float("nan"))
     with pytest.raises(ConfigError, match="grid"):

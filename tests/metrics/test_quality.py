@@ -13,6 +13,7 @@ from tests.metrics.epsilon_grasps import pads, pair
 from tests.support import box_object, resting_scene
 
 BOX = box_object((0.04, 0.06, 0.08))
+SCENE = resting_scene(BOX)
 CONFIG = QualityConfig().resolved()
 
 
@@ -43,7 +44,7 @@ def mixture(n: int) -> PadContacts:
 def measured(contacts: PadContacts, audited: np.ndarray, **changes: float) -> quality.Qualities:
     config = replace(CONFIG, **changes)
     sets = {"quality": PadSet(contacts, rtol=1e-4)}
-    return pad_qualities(sets, BOX, audited=audited, config=config).by_name["quality"]
+    return pad_qualities(sets, SCENE, audited=audited, config=config).by_name["quality"]
 
 
 def test_the_tally_counts_what_the_certified_routine_says() -> None:
@@ -111,10 +112,10 @@ def test_sets_that_are_computed_together_do_not_mix() -> None:
     contacts, drawn = mixture(21), np.arange(21) % 2 == 0
     few = contacts_of([pair(np.random.default_rng(9)) for _ in range(21)])
     sets = {"patches": PadSet(contacts, rtol=1e-2), "pairs": PadSet(few, rtol=1e-4)}
-    together = pad_qualities(sets, BOX, audited=drawn, config=CONFIG).by_name
+    together = pad_qualities(sets, SCENE, audited=drawn, config=CONFIG).by_name
     assert list(together) == list(sets)
     for name, found in together.items():
-        alone = pad_qualities({name: sets[name]}, BOX, audited=drawn, config=CONFIG).by_name[name]
+        alone = pad_qualities({name: sets[name]}, SCENE, audited=drawn, config=CONFIG).by_name[name]
         assert found.lower.tobytes() == alone.lower.tobytes()
         assert found.upper.tobytes() == alone.upper.tobytes()
         assert found.tally == alone.tally
@@ -162,7 +163,7 @@ def test_nothing_to_measure_is_nothing_measured() -> None:
 def test_configurations_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"pair_epsilon.*'cuda'.*auto, numpy, jax"):
         QualityConfig(implementation="cuda")
-    for name, value in (("rtol_pair", 1e-9), ("rtol_patch", np.inf), ("patch_radius", np.inf)):
+    for name, value in (("rtol_pair", 1e-9), ("rtol_patch", np.inf)):
         with pytest.raises(ConfigError, match=name):
             QualityConfig(**{name: value})
     for share in (-0.1, 1.1, float("nan")):

@@ -1,22 +1,25 @@
 """The whole pipeline on real stages: what fails costs itself alone, and is named."""
 
-import dataclasses
 import errno
 import multiprocessing
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gmdx.dataset.read import read_dataset
+from gmdx.dataset.read import grasps_in, read_dataset
 from gmdx.dataset.store import PARTIAL, OutputError, StorageError
 from gmdx.errors import CatalogError, ConfigError, GripperError
 from gmdx.files import formats as files
+from gmdx.metrics.compute import compute_metrics
 from gmdx.metrics.table import METRIC_NAMES, METRICS
 from gmdx.pipeline.generate import GenerateConfig, Progress, generate
-from gmdx.scenes.settle import SettleConfig
+from gmdx.scenes.physics import PhysicsConfig
+from gmdx.scenes.settle import SettleConfig, settle
 from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.run import run_trials
 from tests.runs import assert_whole, contents, small_config, write_meshes
 
 
@@ -48,6 +51,30 @@ def test_every_grasp_has_its_row(root: Path) -> None:
             plain = table[metric.name.removesuffix("_norm")].to_numpy()
             ratio = plain / table["bound_l"].to_numpy()
             np.testing.assert_array_equal(table[metric.name].to_numpy(), ratio)
+
+
+def test_a_dataset_is_made_under_its_physics_and_its_scenes_bring_it_along(
+    root: Path, cache: Path, tmp_path: Path
+) -> None:
+    """Settling, trials and metrics all go by the one setting, and so does whoever reads it back."""
+    physics = PhysicsConfig(timestep=0.002, patch_radius=0.01)
+    config = small_config(cache, grasps=12, scenes=1, physics=physics)
+    mesh = root / "meshes" / "box0.stl"
+    generate(mesh, tmp_path, config)
+    dataset = read_dataset(tmp_path)
+    (object_id,) = dataset.objects
+    scene, rows = dataset.scene(object_id, 0).scene, dataset.grasps(object_id)
+    assert scene.physics == physics
+    settled = settle(dataset.object(object_id), config.seed, physics=physics)
+    np.testing.assert_array_equal(scene.position, settled.position)
+    grasps = grasps_in(rows)
+    trials = run_trials(scene, grasps, trials=config.trials)
+    table = compute_metrics(scene, grasps, trials)
+    plain = replace(scene, physics=PhysicsConfig())
+    other = compute_metrics(plain, grasps, run_trials(plain, grasps, trials=config.trials))
+    for name in ("force", "moved", "g_quality"):
+        np.testing.assert_array_equal(rows[name].to_numpy(), table[name], err_msg=name)
+        assert not np.array_equal(rows[name].to_numpy(), other[name], equal_nan=True), name
 
 
 def test_stored_scenes_are_what_was_simulated(root: Path) -> None:
@@ -160,7 +187,7 @@ def test_a_killed_worker_costs_one_object_and_the_next_run_mends_it(
 
     again = generate(meshes, tmp_path / "out", config)
     assert (again.produced, again.present, again.failed) == (1, 3, 0)
-    generate(meshes, tmp_path / "whole", dataclasses.replace(config, workers=1))
+    generate(meshes, tmp_path / "whole", replace(config, workers=1))
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
@@ -261,7 +288,7 @@ def test_what_cannot_be_asked_for(cache: Path, tmp_path: Path) -> None:
         ({"workers": 0}, "workers must be at least 1"),
         ({"sampler": "psychic"}, "dense, antipodal"),
         ({"engine": "bullets"}, "unknown engine 'bullets'; give one of"),
-        ({"trial": TrialConfig(trials=3), "trials": 4}, "set `trials` of the whole run"),
+        ({"trials": 0}, "trials must be at least 1"),
     ):
         with pytest.raises(ConfigError, match=message):
             GenerateConfig(**options)

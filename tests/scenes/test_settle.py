@@ -76,6 +76,11 @@ def face_probabilities(extents: tuple[float, float, float]) -> np.ndarray:
     return 2 * np.array(angles) / (4 * np.pi)
 
 
+def falling(obj: ObjectModel, quaternion: np.ndarray, config: SettleConfig) -> Fall:
+    physics = PhysicsConfig()
+    return Fall(obj, quaternion, model=scene_model(obj, physics), physics=physics, config=config)
+
+
 def start_quaternion(scene: Scene) -> np.ndarray:
     key = (scene.seed, scene.object.object_id, "scene", scene.scene_id, "orientation")
     return random_quaternion(generator(*key))
@@ -84,8 +89,7 @@ def start_quaternion(scene: Scene) -> np.ndarray:
 def test_falls_freely_until_it_touches() -> None:
     obj = polyhedron(1)
     config = SettleConfig(drop_height=0.2)
-    model = scene_model(obj, config.physics)
-    fall = Fall(obj, model, random_quaternion(generator(0, "fall")), config)
+    fall = falling(obj, random_quaternion(generator(0, "fall")), config)
     start, turned = fall.data.qpos[2], fall.data.qpos[3:].copy()
     touches = np.sqrt(2 * 0.2 / 9.81)
     while fall.data.time < touches - 0.005:
@@ -105,7 +109,7 @@ def test_energy_never_grows(shape: str, height: float, damping: float) -> None:
     obj = SHAPES[shape]
     config = SettleConfig(drop_height=height, rotation_damping=damping)
     rng = generator(0, "energy", shape)
-    fall = Fall(obj, scene_model(obj, config.physics), random_quaternion(rng), config)
+    fall = falling(obj, random_quaternion(rng), config)
     history = [energy(fall, obj)]
     while fall.data.time < 0.7:
         fall.step()

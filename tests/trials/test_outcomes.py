@@ -1,5 +1,6 @@
 """Every trial ends by name, and what failed for the simulator's sake never looks like a miss."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,8 @@ def test_diverged_simulation_is_named_and_measures_nothing() -> None:
 
 def test_contacts_that_find_no_memory_end_a_trial_by_name() -> None:
     # MuJoCo drops contacts for which it has no memory, warns, and freezes the rollout.
-    small = TrialConfig(physics=PhysicsConfig(memory=4000))
-    trials = run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=small)
+    small = resting_scene(box_object(BOX), physics=PhysicsConfig(memory=4000))
+    trials = run_trials(small, _grasp((0.0, 0.0, 0.025)))
     assert np.all(trials.outcome == Outcome.DIVERGED)
 
 
@@ -87,9 +88,7 @@ def test_what_flies_off_when_pushed_out_has_been_held() -> None:
 
 def test_nan_in_the_start_is_a_diverged_trial() -> None:
     scene = resting_scene(box_object(BOX))
-    poisoned = type(scene)(
-        scene.object, 0, 0, scene.position * [1.0, np.nan, 1.0], scene.quaternion, 0.0
-    )
+    poisoned = replace(scene, position=scene.position * [1.0, np.nan, 1.0])
     trials = run_trials(poisoned, _grasp((0.0, 0.0, 0.025)))
     assert np.all(trials.outcome == Outcome.DIVERGED)
 
@@ -98,8 +97,8 @@ def test_engine_warnings_leave_no_file_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    small = TrialConfig(physics=PhysicsConfig(memory=4000))
-    run_trials(resting_scene(box_object(BOX)), _grasp((0.0, 0.0, 0.025)), config=small)
+    small = resting_scene(box_object(BOX), physics=PhysicsConfig(memory=4000))
+    run_trials(small, _grasp((0.0, 0.0, 0.025)))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -111,6 +110,20 @@ def test_bad_requests_are_named() -> None:
         run_trials(scene, _grasp((0.0, 0.0, 0.025), width=0.2))
     with pytest.raises(GraspError, match="not finite"):
         run_trials(scene, _grasp((0.0, np.nan, 0.025)))
+    with pytest.raises(UsageError, match="at least 1 trial"):
+        run_trials(scene, _grasp((0.0, 0.0, 0.025)), trials=0)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "warp", "bullet"])
+def test_scenes_under_several_physics_are_refused_by_what_differs(engine: str) -> None:
+    module = {"warp": "warp", "bullet": "pybullet"}.get(engine)
+    if module is not None:
+        pytest.importorskip(module, reason="the engine is not installed")
+    scene = resting_scene(box_object(BOX))
+    other = replace(scene, physics=replace(scene.physics, timestep=0.002))
+    grasp = _grasp((0.0, 0.0, 0.025))
+    with pytest.raises(UsageError, match=r"'box' differs in timestep: 0\.004 -> 0\.002"):
+        run_trials([scene, other], [grasp, grasp], engine, trials=1)
 
 
 def test_an_empty_batch_is_an_empty_result() -> None:

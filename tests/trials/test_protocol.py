@@ -5,16 +5,18 @@ import pytest
 from gmdx.errors import ConfigError
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import load_gripper
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.trials.protocol import Schedule, TrialConfig, compile_schedule
 from tests.support import box_object
 
 CONFIG = TrialConfig()
-DT = CONFIG.physics.timestep
+PHYSICS = PhysicsConfig()
+DT = PHYSICS.timestep
 
 
 @pytest.fixture(scope="module")
 def schedule() -> Schedule:
-    return compile_schedule(CONFIG, stroke=0.085, closing_force=20.0, descent=0.1)
+    return compile_schedule(CONFIG, physics=PHYSICS, stroke=0.085, closing_force=20.0, descent=0.1)
 
 
 def test_controls_lead_from_the_start_to_the_grasp(schedule: Schedule) -> None:
@@ -28,7 +30,7 @@ def test_controls_lead_from_the_start_to_the_grasp(schedule: Schedule) -> None:
 
 
 def test_gripper_follows_the_schedule_exactly(schedule: Schedule) -> None:
-    built = grasp_model(box_object((0.03, 0.04, 0.05)), load_gripper(), CONFIG.physics)
+    built = grasp_model(box_object((0.03, 0.04, 0.05)), load_gripper(), PHYSICS)
     data = mujoco.MjData(built.model)
     data.qpos[:8] = [0.0, 0.2, 0.025, 1.0, 0.0, 0.0, 0.0, 0.11]
     start, grasp = np.array([0.11]), np.array([0.03])
@@ -67,8 +69,7 @@ def test_fingers_can_cross_the_whole_stroke(schedule: Schedule) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"trials": 0},
-        {"chunk": 1},
+        {"look_interval": 0.0},
         {"push_direction": (0.0, 0.0, -2.0)},
         {"lift_time": -1.0},
         {"push_ramp": 0.0},
@@ -87,3 +88,10 @@ def test_controls_of_some_steps_are_those_of_all(schedule: Schedule) -> None:
         for first in range(0, len(phase), 7):
             part = phase.controls(grasp, start, slice(first, first + 7))
             np.testing.assert_array_equal(part, whole[:, first : first + 7])
+
+
+def test_looks_are_as_far_apart_at_every_time_step() -> None:
+    for timestep in (0.001, 0.002, 0.003, 0.004, 0.005):
+        span = CONFIG.chunk(timestep) * timestep
+        assert span == pytest.approx(CONFIG.look_interval, abs=0.5 * timestep)
+    assert CONFIG.chunk(1.0) == 2

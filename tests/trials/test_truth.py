@@ -78,8 +78,8 @@ def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
     gripper = load_gripper(gripper_name)
     scene = resting_scene(box_object((0.03, 0.04, 0.05), friction=friction, mass=mass))
     for direction in (-1.0, 1.0):
-        config = TrialConfig(trials=1, push_direction=(0.0, 0.0, direction))
-        trials = run_trials(scene, _middle(0.025, 0.05), gripper=gripper, config=config)
+        config = TrialConfig(push_direction=(0.0, 0.0, direction))
+        trials = run_trials(scene, _middle(0.025, 0.05), trials=1, gripper=gripper, config=config)
         expected = 2 * friction * gripper.force + direction * mass * GRAVITY
         assert trials.outcome[0, 0] == Outcome.SUCCESS
         assert not trials.push_force_is_lower_bound[0]
@@ -89,23 +89,23 @@ def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
 @pytest.mark.parametrize("ramp", [0.25, 1.0, 5.0])
 def test_push_tells_slip_from_creep_at_every_ramp(ramp: float) -> None:
     scene = resting_scene(box_object((0.03, 0.04, 0.05)))
-    config = TrialConfig(trials=1, push_ramp=ramp, push_limit=2.0)
-    trials = run_trials(scene, _middle(0.025, 0.05), config=config)
+    config = TrialConfig(push_ramp=ramp, push_limit=2.0)
+    trials = run_trials(scene, _middle(0.025, 0.05), trials=1, config=config)
     expected = 2 * 0.8 * load_gripper().force - 0.1 * GRAVITY
     assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
 
 
 def test_ramp_that_ends_too_early_gives_a_lower_bound() -> None:
     scene = resting_scene(box_object((0.03, 0.04, 0.05)))
-    trials = run_trials(scene, _middle(0.025, 0.05), config=TrialConfig(trials=1, push_limit=1.0))
+    trials = run_trials(scene, _middle(0.025, 0.05), trials=1, config=TrialConfig(push_limit=1.0))
     assert trials.push_force_is_lower_bound[0]
     assert trials.push_force[0] == pytest.approx(load_gripper().force)
 
 
 def test_held_box_creeps_less_than_a_millimetre_in_two_seconds() -> None:
     scene = resting_scene(box_object((0.03, 0.04, 0.05)))
-    never_still = TrialConfig(trials=1, hold_time=2.0, still_speed=0.0)
-    trials = run_trials(scene, _middle(0.025, 0.05), config=never_still)
+    never_still = TrialConfig(hold_time=2.0, still_speed=0.0)
+    trials = run_trials(scene, _middle(0.025, 0.05), trials=1, config=never_still)
     held = trials.object_position - trials.tool_position
     assert trials.outcome[0, 0] == Outcome.SUCCESS
     assert np.linalg.norm(held[0, Snapshot.HELD] - held[0, Snapshot.CLOSED]) < 1e-3

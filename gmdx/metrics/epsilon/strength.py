@@ -26,6 +26,7 @@ from gmdx.metrics.epsilon.wrench import (
     tangents,
     wrench_cones,
 )
+from gmdx.scenes.physics import GRAVITY
 
 _LOG = logging.getLogger("gmdx")
 _FLAT = 1e-11  # relative width of directions in which the contacts exert nothing
@@ -140,7 +141,7 @@ def gravity_wrench(
     *,
     center_of_mass: ArrayLike = _ZERO,
     origin: ArrayLike = _ZERO,
-    gravity: float = 9.81,
+    gravity: float = GRAVITY,
 ) -> Float[Array, "6"]:
     """The weight of an object as a load for `directional_strength`.
 

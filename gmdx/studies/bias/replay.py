@@ -24,6 +24,7 @@ from gmdx.objects.decompose.decomposition import Attempt, DecomposeConfig, decom
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.repair.read import as_trimesh
 from gmdx.scenes.gripper import Gripper
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
@@ -45,7 +46,7 @@ class Run:
     name: str  # what its columns end in
     label: str  # in tables and figures
     engine: str
-    trial: TrialConfig
+    physics: PhysicsConfig
     seed_shift: int = 0  # added to the seed of the pose noise
     hulls: DecomposeConfig | None = None  # the surface is decomposed anew
 
@@ -59,6 +60,8 @@ class Replay:
     rows: tuple[int, ...]  # of the object's table
     run: Run
     gripper: Gripper
+    trials: int  # of each grasp
+    trial: TrialConfig
     metric: MetricConfig
     out: Path  # the part to write
 
@@ -94,20 +97,18 @@ def runs_of(dataset: Dataset, other: str, *, noise_floor: bool) -> tuple[Run, ..
         other: The second engine.
         noise_floor: Whether to run it.
     """
-    settings: dict[str, Any] = dataset.info["configuration"]
-    trial, own = merge(TrialConfig(), settings["trial"]), str(dataset.info["engine"])
-    pair = (Run("a", own, own, trial), Run("b", other, other, trial))
+    physics, own = dataset.physics, str(dataset.info["engine"])
+    pair = (Run("a", own, own, physics), Run("b", other, other, physics))
     if not noise_floor:
         return pair
-    physics = replace(trial.physics, timestep=0.5 * trial.physics.timestep)
-    # Phases end early only at looks that are `chunk` steps apart: as much time apart as before.
-    finer = replace(trial, physics=physics, chunk=2 * trial.chunk)
-    hulls = other_hulls(merge(DecomposeConfig(), settings["prepare"]["decompose"]))
+    decompose = dataset.info["configuration"]["prepare"]["decompose"]
+    hulls = other_hulls(merge(DecomposeConfig(), decompose))
+    finer = replace(physics, timestep=0.5 * physics.timestep)
     return (
         *pair,
-        Run("seed", f"{own}, other noise", own, trial, seed_shift=_OTHER_SEED),
+        Run("seed", f"{own}, other noise", own, physics, seed_shift=_OTHER_SEED),
         Run("timestep", f"{own}, half the step", own, finer),
-        Run("hulls", f"{own}, other hulls", own, trial, hulls=hulls),
+        Run("hulls", f"{own}, other hulls", own, physics, hulls=hulls),
     )
 
 
@@ -153,7 +154,7 @@ def _scenes(task: Replay) -> list[pa.Table]:
     for scene_id in sorted(set(chosen["scene_id"].to_pylist())):
         rows = chosen.filter(pc.equal(chosen["scene_id"], scene_id))
         grasps = grasps_in(rows)
-        scene = dataset.scene(task.object_id, scene_id).scene
+        scene = replace(dataset.scene(task.object_id, scene_id).scene, physics=run.physics)
         if run.hulls is not None:
             hulls = _hulls(scene.object, run.hulls) if hulls is None else hulls
             scene = replace(scene, object=replace(scene.object, hulls=hulls))
@@ -161,8 +162,9 @@ def _scenes(task: Replay) -> list[pa.Table]:
             replace(scene, seed=scene.seed + run.seed_shift),
             grasps,
             run.engine,
+            trials=task.trials,
             gripper=task.gripper,
-            config=run.trial,
+            config=task.trial,
         )
         tables.append(_part(rows, scene, trials, task.metric))
     return tables

@@ -102,7 +102,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], *, words: int = 1
 def _runs(study: "BiasStudy") -> str:
     rows = [
         [run.name, run.label, study.versions[run.name], f"{study.rows[run.name].present.sum()}",
-         f"{1e3 * run.trial.physics.timestep:g}", f"{run.trial.trials}"]
+         f"{1e3 * run.physics.timestep:g}", f"{study.trials}"]
         for run in study.runs
     ]  # fmt: skip
     head = ["column suffix", "run", "engine", "grasps", "step (ms)", "trials a grasp"]

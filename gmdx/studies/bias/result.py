@@ -69,6 +69,7 @@ class BiasStudy:
     config: BiasConfig
     choice: Choice
     runs: tuple[Run, ...]
+    trials: int  # of each grasp in each run
     versions: Mapping[str, str]  # by run: the engine's name and version
     rows: Mapping[str, RunRows]  # by run
     engines: Comparison  # the second engine against the first

@@ -10,10 +10,10 @@
 ```
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from gmdx.studies.bias.result import BiasConfig, BiasStudy, Choice
 from gmdx.studies.engines.truth import TruthRow, truth_table
 from gmdx.trials.engines.registry import choose as choose_engine
 from gmdx.trials.engines.registry import open_engine
+from gmdx.trials.protocol import TrialConfig
 
 if TYPE_CHECKING:
     pass
@@ -71,6 +72,8 @@ def bias_study(
     runs = runs_of(dataset, config.engine, noise_floor=config.noise_floor)
     for engine in {run.engine for run in runs}:
         open_engine(engine)  # refused before anything is run
+    settings: Mapping[str, Any] = dataset.info["configuration"]
+    trials, trial = int(settings["trials"]), merge(TrialConfig(), settings["trial"])
     choice = choose(dataset, config)
     root = Path(out)
     begin(
@@ -92,7 +95,9 @@ def bias_study(
             rows=rows,
             run=run,
             gripper=gripper,
-            metric=merge(MetricConfig(), dataset.info["configuration"]["metric"]),
+            trials=trials,
+            trial=trial,
+            metric=merge(MetricConfig(), settings["metric"]),
             out=root / PARTS_FOLDER / object_id / f"{run.name}.parquet",
         )
         for object_id, rows in zip(choice.objects, choice.rows, strict=True)
@@ -105,7 +110,7 @@ def bias_study(
                 (tasks[object_id, run.name].out, len(rows))
                 for object_id, rows in zip(choice.objects, choice.rows, strict=True)
             ],
-            trials=run.trial.trials,
+            trials=trials,
         )
         for run in runs
     }
@@ -131,12 +136,13 @@ def bias_study(
         config=config,
         choice=choice,
         runs=runs,
+        trials=trials,
         versions={name: part.version for name, part in parts.items()},
         rows=rows,
         engines=comparisons[0],
         floor=tuple(comparisons[1:]),
         disputed=tuple(most_disputed(rows["a"], rows["b"], config.disputed)),
-        truth=_truth(runs, gripper) if config.truth else (),
+        truth=_truth(runs, gripper, trial) if config.truth else (),
         failures=failures,
         gripper=gripper,
     )
@@ -144,14 +150,14 @@ def bias_study(
     return study
 
 
-def _truth(runs: tuple[Run, ...], gripper: Gripper) -> tuple[TruthRow, ...]:
+def _truth(runs: tuple[Run, ...], gripper: Gripper, config: TrialConfig) -> tuple[TruthRow, ...]:
     """The closed forms on both engines, and on the floor's finer steps."""
     own, other = runs[:2]
     engines = tuple(dict.fromkeys((own.engine, other.engine)))
-    rows = truth_table(engines, gripper=gripper, config=own.trial)
+    rows = truth_table(engines, gripper=gripper, physics=own.physics, config=config)
     finer = [run for run in runs if run.name == "timestep"]
     for run in finer:
-        found = truth_table((run.engine,), gripper=gripper, config=run.trial)
+        found = truth_table((run.engine,), gripper=gripper, physics=run.physics, config=config)
         rows += tuple(replace(row, engine=run.label) for row in found)
     return rows
 

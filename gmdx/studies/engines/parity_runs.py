@@ -23,7 +23,7 @@ from gmdx.studies.engines.runs import (
     refuse_less_than_one,
     run_apart,
 )
-from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 
@@ -43,11 +43,12 @@ class _Task:
     scenes: Sequence[Scene]
     grasps: Sequence[PlanarGrasp]
     gripper: Gripper
+    repeats: int  # trials of each grasp
     config: TrialConfig
 
     @property
     def trials(self) -> int:
-        return sum(map(len, self.grasps)) * self.config.trials
+        return sum(map(len, self.grasps)) * self.repeats
 
 
 def _run(task: _Task) -> list[TrialResults]:
@@ -56,6 +57,7 @@ def _run(task: _Task) -> list[TrialResults]:
         task.scenes,
         task.grasps,
         task.engine,
+        trials=task.repeats,
         gripper=task.gripper,
         config=task.config,
         threads=task.threads,
@@ -69,6 +71,7 @@ def parity_figures(
     engines: Sequence[str],
     grasps: int,
     gripper: Gripper,
+    trials: int = TRIALS,
     config: TrialConfig | None = None,
     threads: int = 1,
     parallel_trials: int | None = None,
@@ -83,8 +86,9 @@ def parity_figures(
     Args:
         scenes: Objects at rest.
         engines: Names; those of `LIMITS` are held to them.
-        grasps: How many of each object, each with the trials that `config` says.
+        grasps: How many of each object, each with `trials` trials.
         gripper: What grasps.
+        trials: Of each grasp.
         config: Of the trials.
         threads: Of MuJoCo on the CPU; no result depends on it.
         parallel_trials: Side by side on a device; no result may depend on it.
@@ -99,17 +103,18 @@ def parity_figures(
     """
     refuse_less_than_one(
         grasps=grasps,
+        trials=trials,
         threads=threads,
         parallel_trials=1 if parallel_trials is None else parallel_trials,
     )
     chosen = choose_all(engines)
     refuse_idle_sizes(chosen, [] if parallel_trials is None else [parallel_trials])
     config = TrialConfig() if config is None else config
-    batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
+    batches = [sample_grasps(scene, grasps, gripper=gripper) for scene in scenes]
     follower = Follower(1 + floor + len(chosen), on_progress)
 
     def run(name: str, at: Sequence[Scene], label: str) -> Measured | RunFailure:
-        task = _Task(name, threads, parallel_trials, at, batches, gripper, config)
+        task = _Task(name, threads, parallel_trials, at, batches, gripper, trials, config)
         results = run_apart(_run, task, label=label, isolated=isolated)
         if isinstance(results, RunFailure):
             follower.ran(label, 0)

@@ -28,7 +28,7 @@ from gmdx.studies.engines.runs import (
 from gmdx.trials.engines.engine import Engine
 from gmdx.trials.engines.registry import DEFAULT_ENGINE, ENGINES, open_engine
 from gmdx.trials.outcome import Outcome
-from gmdx.trials.protocol import TrialConfig
+from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 
@@ -99,6 +99,7 @@ class _Case:
     scenes: Sequence[Scene]
     grasps: Sequence[PlanarGrasp]
     gripper: Gripper
+    repeats: int  # trials of each grasp
     config: TrialConfig
 
     @property
@@ -108,14 +109,19 @@ class _Case:
 
     @property
     def trials(self) -> int:
-        return sum(map(len, self.grasps)) * self.config.trials
+        return sum(map(len, self.grasps)) * self.repeats
 
     def open(self) -> Engine:
         return open_engine(self.engine, threads=self.threads, parallel_trials=self.parallel_trials)
 
     def run(self, engine: Engine) -> list[TrialResults]:
         return run_trials(
-            self.scenes, self.grasps, engine, gripper=self.gripper, config=self.config
+            self.scenes,
+            self.grasps,
+            engine,
+            trials=self.repeats,
+            gripper=self.gripper,
+            config=self.config,
         )
 
 
@@ -124,6 +130,7 @@ def trial_figures(
     *,
     grasps: int,
     gripper: Gripper,
+    trials: int = TRIALS,
     config: TrialConfig | None = None,
     engines: Sequence[str] = (DEFAULT_ENGINE,),
     parallel_trials: Sequence[int] = (),
@@ -137,8 +144,9 @@ def trial_figures(
 
     Args:
         scenes: Objects at rest, whose trials run in one call.
-        grasps: How many of each object, each with the trials that `config` says.
+        grasps: How many of each object, each with `trials` trials.
         gripper: What grasps.
+        trials: Of each grasp.
         config: Of the trials.
         engines: Names; the first is what the others are compared with.
         parallel_trials: Side by side on a device, a row of figures each, the smallest first; none:
@@ -154,15 +162,18 @@ def trial_figures(
         GmdxError: The grasps could not be sampled.
     """
     refuse_less_than_one(
-        grasps=grasps, threads=threads, parallel_trials=min(parallel_trials, default=1)
+        grasps=grasps,
+        trials=trials,
+        threads=threads,
+        parallel_trials=min(parallel_trials, default=1),
     )
     chosen = choose_all(engines)
     refuse_idle_sizes(chosen, parallel_trials)
-    batches = [sample_grasps(scene, grasps, scene.seed, gripper=gripper) for scene in scenes]
+    batches = [sample_grasps(scene, grasps, gripper=gripper) for scene in scenes]
     config = TrialConfig() if config is None else config
     sizes: list[int | None] = [*sorted(set(parallel_trials))] if parallel_trials else [None]
     cases = [
-        _Case(engine, size, threads, scenes, batches, gripper, config)
+        _Case(engine, size, threads, scenes, batches, gripper, trials, config)
         for engine in chosen
         for size in (sizes if ENGINES[engine].parallel else [None])
     ]

@@ -24,7 +24,7 @@ from gmdx.geometry import quaternion_matrix, rotation_angle
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.scenes.gripper import Gripper, load_gripper
-from gmdx.scenes.physics import GRAVITY
+from gmdx.scenes.physics import GRAVITY, PhysicsConfig
 from gmdx.scenes.scene import Scene
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TrialConfig
@@ -77,6 +77,7 @@ def truth_table(
     engines: Sequence[str],
     *,
     gripper: Gripper | None = None,
+    physics: PhysicsConfig | None = None,
     config: TrialConfig | None = None,
 ) -> tuple[TruthRow, ...]:
     """Every closed form on every engine; those too wide for the gripper are left out.
@@ -84,20 +85,22 @@ def truth_table(
     Args:
         engines: Names.
         gripper: The default one if not given.
-        config: The physics and the protocol; directions, ramps and times are the cases' own.
+        physics: But friction, which is the cases' own; the default one if not given.
+        config: The protocol; directions, ramps and times are the cases' own.
 
     Raises:
         UsageError: An engine is not known.
     """
     gripper = load_gripper() if gripper is None else gripper
-    config = replace(TrialConfig() if config is None else config, trials=1)
+    physics = PhysicsConfig() if physics is None else physics
+    config = TrialConfig() if config is None else config
     rows = []
     for case in _cases(gripper, config):
         if case.width > gripper.stroke:
             logger.info("closed form left out: %s, %s is too wide for the gripper %s",
                         case.quantity, case.setting, gripper.name)  # fmt: skip
             continue
-        scene = _scene(case.object, np.array(case.quaternion))
+        scene = _scene(case.object, np.array(case.quaternion), physics)
         height = float(scene.position[2]) if case.height is None else case.height
         grasp = PlanarGrasp(
             np.array([0]),
@@ -106,7 +109,7 @@ def truth_table(
             np.array([case.width]),
         )
         for engine in engines:
-            trials = run_trials(scene, grasp, engine, gripper=gripper, config=case.config)
+            trials = run_trials(scene, grasp, engine, trials=1, gripper=gripper, config=case.config)
             measured = _measured(case, trials)
             rows.append(
                 TruthRow(case.quantity, case.setting, engine, case.expected, measured, case.unit)
@@ -207,10 +210,10 @@ def _measured(case: _Case, trials: TrialResults) -> float:
     return 1e3 * float(turn[0])
 
 
-def _scene(obj: ObjectModel, quaternion: Float[Array, "4"]) -> Scene:
+def _scene(obj: ObjectModel, quaternion: Float[Array, "4"], physics: PhysicsConfig) -> Scene:
     """The object on the table in the given orientation."""
     lowest = float((obj.vertices @ quaternion_matrix(quaternion).T)[:, 2].min())
-    return Scene(obj, 0, 0, np.array([0.0, 0.0, -lowest]), quaternion, 0.0)
+    return Scene(obj, 0, 0, np.array([0.0, 0.0, -lowest]), quaternion, 0.0, physics)
 
 
 def _box(

@@ -7,7 +7,11 @@ import numpy as np
 
 from gmdx.arrays import Array, Float
 from gmdx.errors import ConfigError
+from gmdx.objects.prepare import PrepareConfig
 from gmdx.rng import generator
+from gmdx.scenes.physics import PhysicsConfig
+
+FRICTION = PrepareConfig().friction  # as objects have it by default
 
 
 class Parameters(TypedDict):
@@ -46,8 +50,8 @@ class GraspSet:
 
     points: Float[Array, "n k 3"]  # m
     normals: Float[Array, "n k 3"]  # unit, into the object
-    friction: float = 0.8
-    torsion: float = 2.0 / 3.0 * 0.8 * 0.005  # m: pressure even over a patch of 5 mm radius
+    friction: float = FRICTION
+    torsion: float = PhysicsConfig().torsion(FRICTION)  # m
     torque_scale: float = 0.06  # m
 
     def __len__(self) -> int:
@@ -83,7 +87,7 @@ def random_pairs(count: int, *, seed: int = 0) -> GraspSet:
         while True:
             tilted = _unit(facing * line + 0.27 * rng.normal(size=(2, 3)))
             # Strictly inside both cones: clear of the border by a few degrees.
-            if (facing * (tilted @ line)[:, None]).min() > np.cos(np.arctan(0.8) - 0.05):
+            if (facing * (tilted @ line)[:, None]).min() > np.cos(np.arctan(FRICTION) - 0.05):
                 break
         points[i] = -facing * line * rng.uniform(0.005, 0.03) + 0.012 * rng.normal(size=3)
         normals[i] = tilted

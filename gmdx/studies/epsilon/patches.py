@@ -14,7 +14,6 @@ from gmdx.grasps.sample import sample_grasps
 from gmdx.metrics.quality import PadSet, QualityConfig, pad_qualities
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
-from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.run import run_trials
 
 
@@ -47,17 +46,22 @@ def patch_figures(scenes: Iterable[Scene], *, grasps: int, gripper: Gripper) -> 
     """
     found: dict[str, list[Float[Array, "2 n"]]] = {"real_d_quality": [], "real_s_quality": []}
     seconds = {name: np.zeros(2) for name in found}
+    quality = QualityConfig().resolved()
     for scene in scenes:
-        batch = sample_grasps(scene, grasps, scene.seed, gripper=gripper)
-        trials = run_trials(scene, batch, gripper=gripper, config=TrialConfig(trials=1))
+        batch = sample_grasps(scene, grasps, gripper=gripper)
+        trials = run_trials(scene, batch, gripper=gripper, trials=1)
         analytical = closing_contacts(scene, batch, gripper=gripper)
         sets = {"real_d_quality": analytical.pads, "real_s_quality": trials.contacts}
         for name, contacts in sets.items():
             contacts = contacts[contacts.both]
             values = []
-            for kind, (what, rtol) in enumerate(((contacts, 1e-2), (means(contacts), 1e-4))):
+            every, pair = (
+                PadSet(contacts, quality.rtol_patch),
+                PadSet(means(contacts), quality.rtol_pair),
+            )
+            for kind, pads in enumerate((every, pair)):
                 start = time.process_time()
-                values.append(_qualities(scene, what, rtol))
+                values.append(_qualities(scene, pads, quality))
                 seconds[name][kind] += time.process_time() - start
             found[name].append(np.stack(values))
     return [_figures(name, np.concatenate(v, axis=1), seconds[name]) for name, v in found.items()]
@@ -77,13 +81,9 @@ def means(contacts: PadContacts) -> PadContacts:
     )
 
 
-def _qualities(scene: Scene, contacts: PadContacts, rtol: float) -> Float[Array, "n"]:
-    found = pad_qualities(
-        {"quality": PadSet(contacts, rtol)},
-        scene.object,
-        audited=np.zeros(len(contacts), bool),
-        config=QualityConfig().resolved(),
-    )
+def _qualities(scene: Scene, pads: PadSet, config: QualityConfig) -> Float[Array, "n"]:
+    unaudited = np.zeros(len(pads.contacts), bool)
+    found = pad_qualities({"quality": pads}, scene, audited=unaudited, config=config)
     return found.by_name["quality"].upper
 
 

@@ -26,7 +26,8 @@ Hulls = tuple[Float[Array, "_ 3"], ...]  # m, vertices of each
 Change = Callable[["Setup", float], "Setup"]
 
 JITTER = 1e-5  # m, and JITTER / 0.01 rad: of the grasps under another seed, below any robot's
-HULL_BOUNDS = (5e-4, 1e-3, 2e-3)  # m, fine to coarse; the middle one is the default
+_HULL_BOUND = DecomposeConfig().fidelity.distance
+HULL_BOUNDS = (0.5 * _HULL_BOUND, _HULL_BOUND, 2.0 * _HULL_BOUND)  # m, fine, default and coarse
 _SEEDS = 2**20  # how many there are to draw from
 _NOISE = NoiseConfig()
 
@@ -38,9 +39,10 @@ class Setup:
     scene: Scene
     grasps: PlanarGrasp
     gripper: Gripper
+    trials: int  # of each grasp
     config: TrialConfig
     hulls: Mapping[float, Hulls]  # by the bound that they keep to; others than the scene's
-    hull_bound: float = HULL_BOUNDS[1]  # m, that the scene's object keeps to
+    hull_bound: float = _HULL_BOUND  # m, that the scene's object keeps to
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,11 @@ def _trial(change: Callable[[TrialConfig, float], TrialConfig]) -> Change:
 
 
 def _physics(change: Callable[[float], dict[str, Any]]) -> Change:
-    return _trial(lambda c, value: replace(c, physics=replace(c.physics, **change(value))))
+    def changed(setup: Setup, value: float) -> Setup:
+        physics = replace(setup.scene.physics, **change(value))
+        return replace(setup, scene=replace(setup.scene, physics=physics))
+
+    return changed
 
 
 def _noise(change: Callable[[float], dict[str, float]]) -> Change:
@@ -131,12 +137,6 @@ def _noise(change: Callable[[float], dict[str, float]]) -> Change:
 def _weigh(obj: ObjectModel, mass: float) -> ObjectModel:
     """Another density: the inertia goes with the mass."""
     return replace(obj, mass=mass, inertia=obj.inertia * (mass / obj.mass))
-
-
-def _timestep(config: TrialConfig, timestep: float) -> TrialConfig:
-    """Other steps. Whether something has ended is looked for as often in seconds as before."""
-    chunk = max(2, round(config.chunk * config.physics.timestep / timestep))
-    return replace(config, chunk=chunk, physics=replace(config.physics, timestep=timestep))
 
 
 def _raise(setup: Setup, height: float) -> Setup:
@@ -216,7 +216,7 @@ _TABLE = (
     Parameter(
         "closing_speed", "m/s", 0.05, 0.25, "log",
         "of each finger: slow electric grippers to fast ones",
-        lambda s: s.config.physics.closing_speed,
+        lambda s: s.scene.physics.closing_speed,
         _physics(lambda v: {"closing_speed": v}),
     ),
     Parameter(
@@ -229,35 +229,35 @@ _TABLE = (
         "timestep", "s", 0.001, 0.005, "log",
         "numerical: a quarter of the default up to half of the contacts' time constant, beyond "
         "which MuJoCo softens them by itself",
-        lambda s: s.config.physics.timestep,
-        _trial(_timestep),
+        lambda s: s.scene.physics.timestep,
+        _physics(lambda v: {"timestep": v}),
     ),
     Parameter(
         "impratio", "", 1.0, 100.0, "log",
         "numerical: from MuJoCo's default, at which grips creep, to where they hardly do",
-        lambda s: s.config.physics.impratio,
+        lambda s: s.scene.physics.impratio,
         _physics(lambda v: {"impratio": v}),
     ),
     Parameter(
         "solref", "s", 0.008, 0.02, "log",
         "numerical: time constant of contacts, from two default steps, the least that is stable "
         "(with longer steps MuJoCo raises it), to MuJoCo's default",
-        lambda s: s.config.physics.solref[0],
+        lambda s: s.scene.physics.solref[0],
         _physics(lambda v: {"solref": (v, 1.0)}),
     ),
     Parameter(
         "solimp", "", 0.003, 0.1, "log",
         "numerical: softness 1 - d of contacts at no depth (a tenth of it when deep), from the "
         "hardest that the default step resolves (at 0.001 trials diverge) to MuJoCo's default",
-        lambda s: round(1.0 - s.config.physics.solimp[0], 12),
+        lambda s: round(1.0 - s.scene.physics.solimp[0], 12),
         _physics(lambda v: {"solimp": (1.0 - v, 1.0 - v / 10.0, 0.001)}),
     ),
     Parameter(
-        "torsion_radius", "m", 0.001, 0.01, "log",
+        "patch_radius", "m", 0.001, 0.01, "log",
         "radius of a contact's patch: hard pads touch almost in a point, soft ones with half "
         "their width",
-        lambda s: s.config.physics.torsion_radius,
-        _physics(lambda v: {"torsion_radius": v}),
+        lambda s: s.scene.physics.patch_radius,
+        _physics(lambda v: {"patch_radius": v}),
     ),
     Parameter(
         "hulls", "m", HULL_BOUNDS[0], HULL_BOUNDS[-1], "levels",

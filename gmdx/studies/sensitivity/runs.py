@@ -89,10 +89,10 @@ def set_up(task: SetupTask) -> Setup | str:
                 config = PrepareConfig(decompose=decomposition_for(bound))
                 hulls[bound] = prepare(task.source, config=config, cache=task.cache).hulls
         scene = settle(obj, task.seed)
-        grasps = sample_grasps(scene, task.grasps, task.seed, gripper=task.gripper)
+        grasps = sample_grasps(scene, task.grasps, gripper=task.gripper)
     except GmdxError as error:
         return str(error)
-    return Setup(scene, grasps, task.gripper, TrialConfig(trials=task.trials), hulls)
+    return Setup(scene, grasps, task.gripper, task.trials, TrialConfig(), hulls)
 
 
 def changed(setup: Setup, values: Mapping[str, float]) -> Setup:
@@ -122,7 +122,13 @@ def measure(setup: Setup) -> dict[str, float | int]:
 
     An output that no grasp has is NaN.
     """
-    trials = run_trials(setup.scene, setup.grasps, gripper=setup.gripper, config=setup.config)
+    trials = run_trials(
+        setup.scene,
+        setup.grasps,
+        trials=setup.trials,
+        gripper=setup.gripper,
+        config=setup.config,
+    )
     motion = motion_metrics(trials)
     outcome = outcome_metrics(trials)
     held = (trials.outcome[:, 0] == Outcome.SUCCESS) & ~np.isnan(trials.push_force)

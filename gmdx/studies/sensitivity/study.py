@@ -39,6 +39,7 @@ from gmdx.studies.sensitivity.runs import (
     set_up,
 )
 from gmdx.studies.sensitivity.store import StudyFolder
+from gmdx.trials.protocol import TRIALS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,7 +60,7 @@ class SensitivityConfig:
     method: str = "morris"  # morris, sobol or oat (one at a time)
     runs: int | None = None  # of each object at most; None: 10 trajectories, 64 rows or 7 places
     grasps: int = 16  # of each object
-    trials: int = 5  # of each grasp: the nominal one, and the rest with pose noise
+    trials: int = TRIALS  # of each grasp: the nominal one, and the rest with pose noise
     seed: int = 0  # of scenes, grasps, pose noise and design
     gripper: str = DEFAULT_GRIPPER  # a shipped gripper's name, or the path of a description
     workers: int = 1  # processes. Without effect on results

@@ -37,7 +37,7 @@ class MujocoEngine:
         """Run every trial to its named end, one batch after the other."""
         found = []
         for batch in batches:
-            scene = grasp_model(batch.object, batch.gripper, config.physics)
+            scene = grasp_model(batch.object, batch.gripper, batch.physics)
             with quiet_warnings(), rollout.Rollout(nthread=self.threads) as pool:
                 trials = Execution(_Stepper(scene, pool, self.threads), [batch], config)
                 trials.run([batch.schedule(config)])

@@ -16,13 +16,14 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from gmdx.arrays import Array, Float, Int
-from gmdx.errors import DeviceMemoryError, UsageError
+from gmdx.errors import DeviceMemoryError
 from gmdx.machine.devices import cuda_devices
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.layout import GraspModel
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.trials.execute import Execution
 from gmdx.trials.observations import ChunkResult, joined
-from gmdx.trials.placement import RawTrials, TrialBatch
+from gmdx.trials.placement import RawTrials, TrialBatch, check_alike
 from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.stepper import ModelLayout
 
@@ -74,9 +75,9 @@ class Implementation(Protocol):
         ...
 
     def open_worlds(
-        self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        self, models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
     ) -> Worlds:
-        """Room for so many trials of these objects, all of one bucket."""
+        """Room for so many trials of these objects, all of one bucket and of these physics."""
         ...
 
     def suggested_capacity(self, models: Sequence[GraspModel]) -> int | None:
@@ -136,9 +137,17 @@ class ParallelEngine:
 
     def run(self, batches: Sequence[TrialBatch], *, config: TrialConfig) -> list[RawTrials]:
         """Run every trial to its named end; a batch's results do not depend on the others."""
+        check_alike(batches)
         results: list[RawTrials | None] = [None] * len(batches)
-        for group in self._groups(batches, config):
-            stepper = _Stepper(self, group.models, group.index(batches), config)
+        for group in self._groups(batches):
+            physics = batches[0].physics
+            stepper = _Stepper(
+                self,
+                group.models,
+                group.index(batches),
+                physics=physics,
+                chunk=config.chunk(physics.timestep),
+            )
             chosen = [batches[number] for number in group.numbers]
             trials = Execution(stepper, chosen, config)
             trials.run([batch.schedule(config) for batch in chosen])
@@ -147,16 +156,14 @@ class ParallelEngine:
             del stepper, trials  # the next group needs the device's memory
         return [found for found in results if found is not None]
 
-    def _groups(self, batches: Sequence[TrialBatch], config: TrialConfig) -> list["_Group"]:
+    def _groups(self, batches: Sequence[TrialBatch]) -> list["_Group"]:
         """Batches whose objects can be side by side, in order; an object is compiled once."""
         open_groups: dict[Hashable, _Group] = {}
         groups: list[_Group] = []
         home: dict[int, tuple[_Group, int]] = {}
         for number, batch in enumerate(batches):
-            if batch.gripper is not batches[0].gripper:
-                raise UsageError("the scenes of one call are grasped by one gripper")
             if id(batch.object) not in home:
-                model = grasp_model(batch.object, batch.gripper, config.physics)
+                model = grasp_model(batch.object, batch.gripper, batch.physics)
                 bucket = self.implementation.bucket(model)
                 group = open_groups.get(bucket)
                 if group is None or len(group.models) == OBJECTS:
@@ -191,9 +198,12 @@ class _Stepper(ModelLayout):
         engine: ParallelEngine,
         models: Sequence[GraspModel],
         index: Int[Array, "m"],
-        config: TrialConfig,
+        *,
+        physics: PhysicsConfig,
+        chunk: int,
     ) -> None:
-        self.engine, self.models, self.index, self.config = engine, models, index, config
+        self.engine, self.models, self.index = engine, models, index
+        self.physics, self.chunk = physics, chunk
         self.scene = models[0]  # all lie alike
         self.capacity = _capacity(engine, models, len(index))
         self.worlds = self._open()
@@ -207,7 +217,7 @@ class _Stepper(ModelLayout):
         count: Int[Array, "a"],
     ) -> ChunkResult:
         asked = control.shape[1]
-        missing = self.config.chunk - asked  # one length for all: one compilation
+        missing = self.chunk - asked  # one length for all: one compilation
         control = np.pad(control, ((0, 0), (0, missing), (0, 0)), mode="edge")
         force = np.pad(force, ((0, missing), (0, 0)))
         while True:
@@ -243,7 +253,7 @@ class _Stepper(ModelLayout):
             gc.collect()  # what a failure leaves in cycles may hold a device's memory
             try:
                 return self.engine.implementation.open_worlds(
-                    self.models, capacity=self.capacity, config=self.config
+                    self.models, capacity=self.capacity, physics=self.physics
                 )
             except DeviceMemoryError as error:
                 self._halve(error)

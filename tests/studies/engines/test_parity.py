@@ -22,15 +22,13 @@ from gmdx.studies.engines.parity import LIMITS, Measured, compare_trials, measur
 from gmdx.studies.engines.parity_result import DifferingTrial, Disagreement, ParityLimits
 from gmdx.studies.engines.parity_runs import parity_figures
 from gmdx.trials.outcome import Outcome
-from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 from tests.runs import write_meshes
 from tests.support import box_object, cylinder_object, resting_scene
 
 GRIPPER = load_gripper()
-CONFIG = TrialConfig(trials=2)
-GRASPS = 6
+GRASPS, TRIALS = 6, 2
 WARP = LIMITS["warp"]
 
 
@@ -46,12 +44,12 @@ def scenes() -> list[Scene]:
 
 @pytest.fixture(scope="module")
 def grasps(scenes: list[Scene]) -> list[PlanarGrasp]:
-    return [sample_grasps(scene, GRASPS, scene.seed, gripper=GRIPPER) for scene in scenes]
+    return [sample_grasps(scene, GRASPS, gripper=GRIPPER) for scene in scenes]
 
 
 @pytest.fixture(scope="module")
 def results(scenes: list[Scene], grasps: list[PlanarGrasp]) -> list[TrialResults]:
-    return run_trials(scenes, grasps, gripper=GRIPPER, config=CONFIG)
+    return run_trials(scenes, grasps, gripper=GRIPPER, trials=TRIALS)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +97,7 @@ def test_an_engine_agrees_with_itself_exactly(measured: Measured) -> None:
 
 def test_a_second_run_of_the_reference_is_the_same(scenes: list[Scene]) -> None:
     figures = parity_figures(
-        scenes[:2], engines=("mujoco",), grasps=2, gripper=GRIPPER, config=CONFIG, threads=2
+        scenes[:2], engines=("mujoco",), grasps=2, gripper=GRIPPER, trials=TRIALS, threads=2
     )
     (parity,) = figures.parities
     assert parity.agreement.value == 1.0
@@ -117,7 +115,7 @@ def test_a_nudge_changes_metrics_by_about_its_length(scenes: list[Scene]) -> Non
     assert figures.floor.metric("force").worst > 0
     assert figures.as_json()["floor"]["outcomes"]["agreement"]["value"] > 0.9
     without = parity_figures(
-        scenes[:1], engines=("mujoco",), grasps=1, gripper=GRIPPER, config=CONFIG, floor=False
+        scenes[:1], engines=("mujoco",), grasps=1, gripper=GRIPPER, trials=TRIALS, floor=False
     )
     assert without.floor is None
     assert without.as_json()["floor"] is None
@@ -312,7 +310,7 @@ def test_another_physics_differs_and_its_ways_to_end_are_named(
     from gmdx.cli.bench_parity import show_parity
 
     figures = parity_figures(
-        scenes[:2], engines=("bullet",), grasps=4, gripper=GRIPPER, config=CONFIG
+        scenes[:2], engines=("bullet",), grasps=4, gripper=GRIPPER, trials=TRIALS
     )
     (parity,) = figures.parities
     assert parity.limits is None

@@ -21,7 +21,6 @@ from gmdx.studies.engines.machine import compilations, machine, peak_device_memo
 from gmdx.studies.engines.runs import RunFailure, RunProgress, run_apart
 from gmdx.studies.engines.speed import trial_figures
 from gmdx.trials.outcome import Outcome
-from gmdx.trials.protocol import TrialConfig
 from gmdx.trials.run import run_trials
 from tests.runs import write_meshes
 from tests.support import box_object, resting_scene
@@ -46,14 +45,13 @@ def cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFact
 
 
 def test_the_trials_of_all_objects_are_counted_as_they_run_alone(scenes: list[Scene]) -> None:
-    config = TrialConfig(trials=2)
-    speed = trial_figures(scenes, grasps=3, gripper=GRIPPER, config=config)
+    speed = trial_figures(scenes, grasps=3, gripper=GRIPPER, trials=2)
     alone = [
         run_trials(
             scene,
-            sample_grasps(scene, 3, scene.seed, gripper=GRIPPER),
+            sample_grasps(scene, 3, gripper=GRIPPER),
             gripper=GRIPPER,
-            config=config,
+            trials=2,
         )
         for scene in scenes
     ]
@@ -80,7 +78,7 @@ def test_ratios_compare_with_the_first_engine(scenes: list[Scene]) -> None:
         scenes,
         grasps=2,
         gripper=GRIPPER,
-        config=TrialConfig(trials=1),
+        trials=1,
         engines=("mujoco", "bullet"),
         on_progress=told.append,
     )
@@ -104,7 +102,7 @@ def test_numbers_of_parallel_trials_get_a_row_each_and_the_timed_run_compiles_no
         scenes,
         grasps=2,
         gripper=GRIPPER,
-        config=TrialConfig(trials=1),
+        trials=1,
         engines=("mujoco", "warp"),
         parallel_trials=(4, 2, 4),
         isolated=True,
@@ -209,7 +207,7 @@ def test_the_command_prints_a_table_and_json(
 def test_figures_of_any_size_fit_the_table(
     scenes: list[Scene], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    speed = trial_figures(scenes, grasps=1, gripper=GRIPPER, config=TrialConfig(trials=1))
+    speed = trial_figures(scenes, grasps=1, gripper=GRIPPER, trials=1)
     (row,) = speed.figures
     on_device = {"engine": "warp", "compiled": 120, "cached": 120, "compiled_again": 0}
     row = replace(

@@ -39,7 +39,8 @@ def box_setup(*, mass: float = 0.1, trials: int = 1, grasps: int = 1) -> Setup:
         resting_scene(obj),
         batch,
         load_gripper(),
-        TrialConfig(trials=trials),
+        trials,
+        TrialConfig(),
         dict(zip(HULL_BOUNDS, (inside, obj.hulls, outside), strict=True)),
     )
 
@@ -157,11 +158,12 @@ def test_seed_redraws_noise_and_moves_grasps_by_next_to_nothing() -> None:
 
 
 def test_timestep_keeps_the_looks_at_a_trial_in_seconds() -> None:
-    config = TrialConfig()
+    setup = box_setup()
+    span = setup.config.chunk(setup.scene.physics.timestep) * setup.scene.physics.timestep
     for timestep in (0.001, 0.002, 0.005):
-        now = changed(box_setup(), {"timestep": timestep}).config
-        span = config.chunk * config.physics.timestep
-        assert now.chunk * timestep == pytest.approx(span, abs=timestep)
+        now = changed(setup, {"timestep": timestep})
+        assert now.scene.physics.timestep == timestep
+        assert now.config.chunk(timestep) * timestep == pytest.approx(span, abs=timestep)
 
 
 def test_names_are_put_in_order_and_unknown_ones_refused() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import Gripper, load_gripper
+from gmdx.scenes.physics import PhysicsConfig
 from gmdx.trials.engines.bullet.world import BulletConfig, BulletWorld
-from gmdx.trials.protocol import TrialConfig
 
 UP = 0.5  # m, of a gripper that is out of the way
 NOTHING = np.zeros(3)
@@ -18,8 +18,8 @@ NOTHING = np.zeros(3)
 @contextmanager
 def bullet_world(obj: ObjectModel, gripper: Gripper | None = None) -> Iterator[BulletWorld]:
     gripper = load_gripper() if gripper is None else gripper
-    config = TrialConfig()
-    world = BulletWorld(grasp_model(obj, gripper, config.physics), obj, config, BulletConfig())
+    physics = PhysicsConfig()
+    world = BulletWorld(grasp_model(obj, gripper, physics), obj, physics, BulletConfig())
     try:
         yield world
     finally:

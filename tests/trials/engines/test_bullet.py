@@ -85,10 +85,12 @@ def test_both_engines_are_handed_the_same_schedule(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # No phase ends early, and no push before its ramp does.
-    config = TrialConfig(trials=1, still_speed=0.0, push_limit=1.0)
+    config = TrialConfig(still_speed=0.0, push_limit=1.0)
     handed = [_Handed(module, monkeypatch) for module in (first_engine, second_engine)]
     for engine in ("mujoco", "bullet"):
-        trials = run_trials(scene, _grasp((0.001, 0.002, 0.025), 0.03), engine, config=config)
+        trials = run_trials(
+            scene, _grasp((0.001, 0.002, 0.025), 0.03), engine, trials=1, config=config
+        )
         assert trials.push_force_is_lower_bound[0]
     for name in ("starts", "controls", "forces"):
         one, other = (np.concatenate(getattr(item, name), axis=-2 if name == "controls" else 0)
@@ -251,11 +253,8 @@ def _hand(folder: Path, extra: str = "") -> Gripper:
 
 def test_a_user_s_gripper_of_every_shape_grasps(scene: Scene, tmp_path: Path) -> None:
     gripper = _hand(tmp_path)
-    config = TrialConfig(trials=1)
     for engine in ("mujoco", "bullet"):
-        trials = run_trials(
-            scene, _grasp((0.0, 0.0, 0.025)), engine, gripper=gripper, config=config
-        )
+        trials = run_trials(scene, _grasp((0.0, 0.0, 0.025)), engine, trials=1, gripper=gripper)
         assert trials.outcome[0, 0] == Outcome.SUCCESS
         assert trials.opening[0] == pytest.approx(0.03, abs=3e-4)
         assert trials.push_force[0] == pytest.approx(2 * 0.8 * 15.0 - 0.981, rel=0.05)
@@ -266,7 +265,7 @@ def test_the_gripper_s_parts_are_where_mujoco_has_them(scene: Scene, tmp_path: P
     import mujoco
 
     gripper = _hand(tmp_path)
-    built = grasp_model(scene.object, gripper, TrialConfig().physics)
+    built = grasp_model(scene.object, gripper, scene.physics)
     qpos = start((0.0, 0.3, 0.025), height=0.2, fingers=gripper.finger_positions(np.array(0.03)))
     data = mujoco.MjData(built.model)
     data.qpos[:] = qpos

@@ -140,8 +140,8 @@ def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
     gripper = load_gripper(gripper_name)
     scene = resting_scene(box_object(BOX, friction=friction, mass=mass))
     for direction in (-1.0, 1.0):
-        config = TrialConfig(trials=1, push_direction=(0.0, 0.0, direction))
-        trials = run_trials(scene, _middle(), "bullet", gripper=gripper, config=config)
+        config = TrialConfig(push_direction=(0.0, 0.0, direction))
+        trials = run_trials(scene, _middle(), "bullet", trials=1, gripper=gripper, config=config)
         expected = 2 * friction * gripper.force + direction * mass * GRAVITY
         assert trials.outcome[0, 0] == Outcome.SUCCESS
         assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
@@ -150,15 +150,17 @@ def test_squeezed_box_is_pushed_out_at_twice_the_friction_limit(
 @pytest.mark.parametrize("ramp", [0.25, 5.0])
 def test_push_is_the_same_at_every_ramp(ramp: float) -> None:
     scene = resting_scene(box_object(BOX))
-    config = TrialConfig(trials=1, push_ramp=ramp, push_limit=2.0)
-    trials = run_trials(scene, _middle(), "bullet", config=config)
+    config = TrialConfig(push_ramp=ramp, push_limit=2.0)
+    trials = run_trials(scene, _middle(), "bullet", trials=1, config=config)
     expected = 2 * 0.8 * load_gripper().force - 0.1 * GRAVITY
     assert trials.push_force[0] == pytest.approx(expected, rel=0.05)
 
 
 def test_held_box_creeps_less_than_a_millimetre_in_two_seconds() -> None:
-    never_still = TrialConfig(trials=1, hold_time=2.0, still_speed=0.0)
-    trials = run_trials(resting_scene(box_object(BOX)), _middle(), "bullet", config=never_still)
+    never_still = TrialConfig(hold_time=2.0, still_speed=0.0)
+    trials = run_trials(
+        resting_scene(box_object(BOX)), _middle(), "bullet", trials=1, config=never_still
+    )
     held = trials.object_position - trials.tool_position
     assert trials.outcome[0, 0] == Outcome.SUCCESS
     assert np.linalg.norm(held[0, Snapshot.HELD] - held[0, Snapshot.CLOSED]) < 1e-3
@@ -208,9 +210,10 @@ def test_tilted_faces_slip_where_coulomb_says_if_it_says_one_thing(
         for z in (-1, 1)
     ]
     wedge = mesh_object(trimesh.convex.convex_hull(np.array(corners)), mass=mass)
-    config = TrialConfig(trials=1, physics=PhysicsConfig(closing_acceleration=acceleration))
+    physics = PhysicsConfig(closing_acceleration=acceleration)
     width = 2 * (0.025 + 0.01 * float(np.tan(tilt)))
-    trials = run_trials(resting_scene(wedge), _middle(width=width), "bullet", config=config)
+    scene = resting_scene(wedge, physics=physics)
+    trials = run_trials(scene, _middle(width=width), "bullet", trials=1)
     ratio = trials.push_force[0] / (2 * force * np.tan(phi - tilt) - mass * GRAVITY)
     assert trials.outcome[0, 0] == Outcome.SUCCESS
     assert ratio == pytest.approx(1.0, abs=0.05) if unique else 0.4 < ratio < 1.05

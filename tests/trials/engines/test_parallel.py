@@ -109,12 +109,12 @@ class _Small:
         return 16
 
     def open_worlds(
-        self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+        self, models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
     ) -> Worlds:
         self.opened.append(capacity)
         if capacity > self.room and not self.at_launch:
             raise DeviceMemoryError(f"no room for {capacity} trials")
-        worlds = warp_worlds.open_worlds(models, capacity=capacity, config=config)
+        worlds = warp_worlds.open_worlds(models, capacity=capacity, physics=physics)
         return _SmallWorlds(worlds, full=capacity > self.room)
 
 
@@ -160,9 +160,9 @@ def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarG
 
     class Counted(_Small):
         def open_worlds(
-            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+            self, models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
         ) -> Worlds:
-            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            worlds = super().open_worlds(models, capacity=capacity, physics=physics)
             launch = worlds.launch
 
             def noted(*arrays: np.ndarray) -> Callable[[], ChunkResult]:
@@ -177,8 +177,9 @@ def test_survivors_alone_are_simulated(scenes: list[Scene], grasps: list[PlanarG
     engine = ParallelEngine("warp", Counted(16, at_launch=True))
     (found,) = run_trials(scenes[:1], grasps[:1], engine, trials=2)
     assert ran == found.steps
-    gripper, config = load_gripper(), TrialConfig(trials=2)
-    schedule = place(scenes[0], grasps[0], gripper=gripper, config=config).schedule(config)
+    config = TrialConfig()
+    batch = place(scenes[0], grasps[0], trials=2, gripper=load_gripper(), config=config)
+    schedule = batch.schedule(config)
     assert found.steps < 8 * sum(len(phase) for phase in vars(schedule).values())
 
 
@@ -214,9 +215,8 @@ def test_a_push_that_is_borne_to_its_end_gives_the_same_lower_bound() -> None:
     """The ramp is no whole number of chunks long."""
     scene = resting_scene(box_object((0.03, 0.04, 0.05), friction=2.6))
     grasp = PlanarGrasp(np.zeros(1, int), np.array([[0, 0, 0.025]]), np.zeros(1), np.full(1, 0.05))
-    config = TrialConfig(trials=1)
-    reference = run_trials(scene, grasp, config=config)
-    found = run_trials(scene, grasp, "warp", config=config)
+    reference = run_trials(scene, grasp, trials=1)
+    found = run_trials(scene, grasp, "warp", trials=1)
     assert reference.push_force_is_lower_bound[0]
     assert found.push_force_is_lower_bound[0]
     assert found.push_force[0] == reference.push_force[0] == pytest.approx(60.0)
@@ -229,9 +229,9 @@ def test_a_cancelled_run_ends_at_its_next_launch(
 
     class Watched(_Small):
         def open_worlds(
-            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+            self, models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
         ) -> Worlds:
-            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            worlds = super().open_worlds(models, capacity=capacity, physics=physics)
             launch = worlds.launch
 
             def noted(*arrays: np.ndarray) -> Callable[[], ChunkResult]:
@@ -257,10 +257,10 @@ def test_a_smaller_batch_gets_the_memory_of_the_larger_one(
 
     class Watched(_Small):
         def open_worlds(
-            self, models: Sequence[GraspModel], *, capacity: int, config: TrialConfig
+            self, models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
         ) -> Worlds:
             assert not any(worlds() is not None for worlds in held)
-            worlds = super().open_worlds(models, capacity=capacity, config=config)
+            worlds = super().open_worlds(models, capacity=capacity, physics=physics)
             held.extend(weakref.ref(part) for part in worlds.worlds.parts)  # type: ignore[attr-defined]
             return worlds
 

@@ -47,8 +47,8 @@ ON_CPU = pytest.mark.skipif(
     cuda_devices() > 0, reason="on a GPU the order of contacts, and so the last bits, may differ"
 )
 PHYSICS = PhysicsConfig()
-CONFIG = TrialConfig(trials=1)
-STEPS = CONFIG.chunk
+CONFIG = TrialConfig()
+STEPS = CONFIG.chunk(PHYSICS.timestep)
 NAMES = ("hammer", "bottle", "bracket")
 
 
@@ -118,7 +118,8 @@ def chunks() -> list[list[Chunk]]:
     gripper, found = load_gripper(), []
     for name in NAMES:
         scene = settle(prepare(resolve([f"bundled:{name}"])[0]), 0)
-        batch = place(scene, sample_grasps(scene, 6, 0), gripper=gripper, config=CONFIG)
+        grasps = sample_grasps(scene, 6)
+        batch = place(scene, grasps, trials=1, gripper=gripper, config=CONFIG)
         with rollout.Rollout(nthread=1) as pool:
             tap = Tap(grasp_model(scene.object, gripper, PHYSICS), pool)
             Execution(tap, [batch], CONFIG).run([batch.schedule(CONFIG)])
@@ -522,7 +523,7 @@ def test_a_squeezed_box_gives_way_at_twice_the_friction_limit(friction: float) -
     middle = PlanarGrasp(
         np.array([0]), np.array([[0.0, 0.0, 0.025]]), np.array([0.0]), np.array([0.05])
     )
-    batch = place(scene, middle, gripper=gripper, config=CONFIG)
+    batch = place(scene, middle, trials=1, gripper=gripper, config=CONFIG)
     limit = 2 * friction * gripper.force - 0.1 * 9.81
     found = ParallelEngine("warp").run([batch], config=CONFIG)[0]
     assert found.push_force[0] == pytest.approx(limit, rel=0.05)

@@ -38,9 +38,9 @@ class BulletEngine:
         return [self._run(batch, config) for batch in batches]
 
     def _run(self, batch: TrialBatch, config: TrialConfig) -> RawTrials:
-        scene = grasp_model(batch.object, batch.gripper, config.physics)
+        scene = grasp_model(batch.object, batch.gripper, batch.physics)
         schedules = [batch.schedule(config)]
-        world = BulletWorld(scene, batch.object, config, self.config)
+        world = BulletWorld(scene, batch.object, batch.physics, self.config)
         try:
             stepper = _Stepper(world)
             found = Execution(stepper, [batch[:0]], config).results()

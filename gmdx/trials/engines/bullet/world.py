@@ -18,9 +18,8 @@ from gmdx.errors import ConfigError
 from gmdx.geometry import matrix_quaternion, quaternion_conjugate, quaternion_multiply
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.layout import SLOT_SIZE, ContactSensors, GraspModel
-from gmdx.scenes.physics import GRAVITY
+from gmdx.scenes.physics import GRAVITY, PhysicsConfig
 from gmdx.trials.engines.bullet.gripper import FIXED, finger_limits, gripper_links
-from gmdx.trials.protocol import TrialConfig
 
 
 @dataclass(frozen=True)
@@ -48,9 +47,9 @@ class BulletWorld:
     """One client of PyBullet; `reset` builds everything anew, so nothing is left of a trial."""
 
     def __init__(
-        self, scene: GraspModel, obj: ObjectModel, trial: TrialConfig, config: BulletConfig
+        self, scene: GraspModel, obj: ObjectModel, physics: PhysicsConfig, config: BulletConfig
     ) -> None:
-        self.scene, self.obj, self.config, self.physics = scene, obj, config, trial.physics
+        self.scene, self.obj, self.config, self.physics = scene, obj, config, physics
         self.signs = np.array(scene.gripper.signs)
         self.slots = scene.sensors.slots
         width = self.slots * SLOT_SIZE
@@ -105,7 +104,7 @@ class BulletWorld:
         self._touch(self.object, _OBJECT, _TABLE | _GRIPPER, friction=self.obj.friction)
         self._touch(self.gripper, _GRIPPER, _TABLE | _OBJECT, friction=1.0)
         # Bullet adds the products of one body's torsional and the other's sliding coefficient.
-        torsion = 2.0 / 3.0 * self.obj.friction * self.physics.torsion_radius
+        torsion = self.physics.torsion(self.obj.friction)
         p.changeDynamics(self.object, -1, spinningFriction=torsion, physicsClientId=client)
 
     def step(self, control: Float[Array, "3"], force: Float[Array, "3"]) -> Float[Array, "d"]:

@@ -18,7 +18,6 @@ from gmdx.trials.engines.warp.device import LANES, DeviceWorlds
 from gmdx.trials.engines.warp.library import build_library, largest_mesh, slots_for
 from gmdx.trials.engines.warp.log import listen
 from gmdx.trials.observations import ChunkResult, joined
-from gmdx.trials.protocol import TrialConfig
 
 CONTACTS = 12  # of a trial on average: room to begin with, as most trials need fewer
 CONTACT_LIMIT = 128  # of one trial: one that has more has overflowed
@@ -96,9 +95,11 @@ def bucket(model: GraspModel) -> int:
     return slots_for(model.model)
 
 
-def open_worlds(models: Sequence[GraspModel], *, capacity: int, config: TrialConfig) -> WarpWorlds:
-    """Room for so many trials of these objects, all of one bucket."""
-    return WarpWorlds(models, capacity=capacity, physics=config.physics)
+def open_worlds(
+    models: Sequence[GraspModel], *, capacity: int, physics: PhysicsConfig
+) -> WarpWorlds:
+    """Room for so many trials of these objects, all of one bucket and of these physics."""
+    return WarpWorlds(models, capacity=capacity, physics=physics)
 
 
 def device() -> str:
