@@ -69,6 +69,5 @@ class GenerateConfig:
             parallel_trials=self.parallel_trials if ENGINES[engine].parallel else None,
             trial=replace(self.trial, trials=self.trials),
             settle=replace(self.settle, physics=self.trial.physics),
-            sample=replace(self.sample, lines=self.sample.lines.resolved()),
             metric=self.metric.resolved(),
         )
