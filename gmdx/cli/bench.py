@@ -137,34 +137,6 @@ class Epsilon:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lines:
-    """Closing lines by every implementation: processor time, and touches that differ."""
-
-    objects: _Objects = ("bundled",)
-    """what to intersect"""
-    grasps: int = 64
-    """grasps per object, 25 lines each"""
-    gripper: _Gripper = "parallel_jaw"
-    """a shipped gripper, or the description of your own"""
-    json: _Json = False
-    """print JSON instead of a table"""
-
-    def run(self) -> int:
-        """Run every implementation on every object."""
-        from gmdx.scenes.gripper import load_gripper
-        from gmdx.studies.throughput import line_figures
-
-        gripper = load_gripper(self.gripper)
-        found = [
-            figures
-            for scene in _scenes(self.objects)
-            for figures in line_figures(scene, grasps=self.grasps, gripper=gripper)
-        ]
-        _show("gmdx bench lines (25 lines a grasp)", found, as_json=self.json)
-        return 0
-
-
-@dataclasses.dataclass(frozen=True)
 class Patches:
     """Qualities 15 and 23 from all contacts of a pad, against the pair of their means."""
 

@@ -259,7 +259,6 @@ class Bench:
         | Annotated[bench_parity.Parity, named("parity")]
         | Annotated[bench.Depth, named("depth")]
         | Annotated[bench.Epsilon, named("epsilon")]
-        | Annotated[bench.Lines, named("lines")]
         | Annotated[bench.Patches, named("patches")]
     )
 

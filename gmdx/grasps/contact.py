@@ -7,12 +7,11 @@ with the object's surface (CoRL 2022, GMD; metrics 6 and 8 to 15).
 from dataclasses import dataclass, replace
 
 import numpy as np
-from gmdx_kernels.closing_lines import IMPLEMENTATIONS, FirstTouch, closing_lines, pad_grid
+from gmdx_kernels.closing_lines import FirstTouch, closing_lines, pad_grid
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import ConfigError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
-from gmdx.machine.devices import check_implementation, implementation
 from gmdx.objects.surface import surface_of
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
@@ -32,23 +31,13 @@ class LineConfig:
 
     grid: tuple[int, int] = (5, 5)  # lines across the pad and along it, from edge to edge
     touch_tolerance: float = 1e-3  # m, behind a pad's first touch that still belongs to it
-    implementation: str = "auto"  # numpy, embree or jax; auto: jax on an accelerator, else numpy
 
     def __post_init__(self) -> None:
-        check_implementation(self.implementation, IMPLEMENTATIONS, kernel="closing_lines")
         if min(self.grid) < 1 or not self.touch_tolerance >= 0:
             raise ConfigError(
                 f"lines need a grid of 1 x 1 or more, not {self.grid}, and a touch_tolerance of 0 "
                 f"or more, not {self.touch_tolerance}"
             )
-
-    def resolved(self) -> "LineConfig":
-        """The same with the implementation that `auto` stands for on this machine.
-
-        NumPy on a CPU: Embree may miss a sharp tip, and is at most 1.3 times as fast on some
-        hundred grasps, slower on fewer (`gmdx bench lines`); JAX takes ten times as long and more.
-        """
-        return replace(self, implementation=implementation(self.implementation, cpu="numpy"))
 
 
 @dataclass(frozen=True)
@@ -57,7 +46,6 @@ class ClosingContacts:
 
     center: PadContacts  # k = 1: the closing line through the grasp's centre
     pads: PadContacts  # k = lines of the grid: every first-touch point of each pad
-    implementation: str  # of gmdx_kernels.closing_lines that found them
 
     def __getitem__(self, rows: slice | Int[Array, "m"]) -> "ClosingContacts":
         """The contacts of some of the grasps."""
@@ -77,9 +65,9 @@ def closing_contacts(
         scene: The object at rest.
         grasps: n grasps of that scene.
         gripper: Its pads' faces are sampled.
-        config: The grid, the tolerance and the implementation.
+        config: The grid and the tolerance.
     """
-    config = (LineConfig() if config is None else config).resolved()
+    config = LineConfig() if config is None else config
     obj = scene.object
     center = scene.to_object(grasps.center)
     axis = scene.direction_to_object(grasps.axis)
@@ -87,16 +75,7 @@ def closing_contacts(
     normals = -surface_of(obj.vertices, obj.faces).normals
 
     def meet(offsets: Float[Array, "l 2"], width: Float[Array, "n"]) -> _Touched:
-        touch = closing_lines(
-            obj.vertices,
-            obj.faces,
-            center,
-            axis,
-            up,
-            width,
-            offsets=offsets,
-            implementation=config.implementation,
-        )
+        touch = closing_lines(obj.vertices, obj.faces, center, axis, up, width, offsets=offsets)
         lines = center[:, None] + _across(offsets, axis, up)  # n l 3
         return _Touched(_contacts(touch, lines, axis, normals), touch)
 
@@ -106,7 +85,6 @@ def closing_contacts(
     return ClosingContacts(
         center=meet(np.zeros((1, 2)), through).contacts,
         pads=_first_touches(pads, config.touch_tolerance),
-        implementation=config.implementation,
     )
 
 

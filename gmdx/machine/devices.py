@@ -1,38 +1,16 @@
-"""Which accelerator JAX computes on, if there is one, and which array kernels that asks for."""
+"""What this machine can compute on, and which array kernels run on it."""
 
 import logging
 import os
 import sys
 import tempfile
 from functools import lru_cache
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 
 from gmdx.errors import ConfigError
 from gmdx.machine.caches import keep_jax_compilations
 
 _LOG = logging.getLogger("gmdx")
-
-
-@lru_cache(maxsize=1)
-def accelerator() -> str | None:
-    """JAX's name of the accelerator's platform, such as `gpu` or `tpu`; None on a plain CPU.
-
-    JAX, which takes half a second and 130 MB to import, is only asked where one of the plugins
-    is installed by which it reaches accelerators.
-    """
-    if not (entry_points(group="jax_plugins") or installed("jax_plugins") or installed("libtpu")):
-        return None
-    # JAX would take most of the memory at once, and worker processes and Warp share the device.
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    import jax
-
-    try:
-        platform = str(jax.default_backend())
-    except RuntimeError as error:  # a plugin without its device, or the other way round
-        _LOG.warning("JAX found no device: %s; array kernels run on the CPU without it", error)
-        return None
-    return None if platform == "cpu" else platform
 
 
 def installed(module: str) -> bool:
@@ -89,24 +67,26 @@ def check_implementation(name: str, known: tuple[str, ...], *, kernel: str) -> N
         raise ConfigError(f"{kernel} has no implementation {name!r}; give one of {choices}")
 
 
-def implementation(name: str, *, cpu: str, accelerated: str = "jax") -> str:
-    """The implementation of an array kernel that a configured name stands for on this machine.
+def implementation(name: str) -> str:
+    """The implementation of an array kernel that a configured name stands for.
 
-    What JAX compiles from then on is kept on disk.
+    `auto` is NumPy on every machine. JAX runs only where it is named: it was not measured faster
+    on a GPU or TPU of any kind, and on a CPU it compiles for some 20 s before it takes half to
+    four fifths of NumPy's time (`gmdx bench epsilon`). What it compiles is kept on disk.
 
     Args:
         name: The name itself, or `auto`.
-        cpu: What `auto` is on a plain CPU.
-        accelerated: What `auto` is where JAX has an accelerator.
 
     Raises:
         ConfigError: It is JAX, which is not installed.
     """
-    if name == "jax" and not installed("jax"):
-        raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[jax]'")
     if name == "auto":
-        name = cpu if accelerator() is None else accelerated
+        return "numpy"
     if name == "jax":
+        if not installed("jax"):
+            raise ConfigError("implementation 'jax' needs jax: pip install 'gmdx[jax]'")
+        # JAX would take most of a device's memory at once, which worker processes share.
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
         keep_jax_compilations()
     return name
 
@@ -115,4 +95,6 @@ def on_device(implementation: str) -> str:
     """An implementation's name as records give it: JAX's with the platform it computes on."""
     if implementation != "jax":
         return implementation
-    return f"jax ({accelerator() or 'cpu'})"
+    import jax
+
+    return f"jax ({jax.default_backend()})"

@@ -31,7 +31,7 @@ class QualityConfig:
 
     rtol_pair: float = 1e-4  # relative gap of the bounds on a quality of two contacts
     rtol_patch: float = 1e-2  # relative gap of the bounds on a quality of many contacts
-    implementation: str = "auto"  # for pairs: numpy or jax; auto: jax on an accelerator
+    implementation: str = "auto"  # for pairs: numpy or jax; auto: numpy
     audit: float = 0.1  # share of the kernel's values that the certified routine computes too
 
     def __post_init__(self) -> None:
@@ -45,8 +45,8 @@ class QualityConfig:
             raise ConfigError(f"audit must be a share from 0 to 1, not {self.audit}")
 
     def resolved(self) -> "QualityConfig":
-        """The same with the implementation that `auto` stands for on this machine."""
-        return replace(self, implementation=implementation(self.implementation, cpu="numpy"))
+        """The same with the implementation that `auto` stands for."""
+        return replace(self, implementation=implementation(self.implementation))
 
 
 @dataclass(frozen=True)

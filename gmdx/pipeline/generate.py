@@ -176,7 +176,5 @@ def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
 
 
 def _kernel_packages(config: GenerateConfig) -> list[str]:
-    """Packages that the chosen implementations of array kernels rest on, besides NumPy."""
-    chosen = {config.metric.lines.implementation, config.metric.quality.implementation}
-    needs = (("embree", "embreex"), ("jax", "jax"), ("jax", "jaxlib"))
-    return [package for name, package in needs if name in chosen]
+    """Packages that the chosen implementation of the array kernel rests on, besides NumPy."""
+    return ["jax", "jaxlib"] if config.metric.quality.implementation == "jax" else []

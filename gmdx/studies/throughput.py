@@ -10,16 +10,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from gmdx_kernels.closing_lines import IMPLEMENTATIONS, closing_lines, pad_grid
-
-from gmdx.arrays import Array, Int
 from gmdx.dataset.read import Dataset
-from gmdx.grasps.contact import LineConfig
-from gmdx.grasps.sample import sample_grasps
 from gmdx.objects.model import ObjectModel
 from gmdx.scenes.camera import CameraConfig, render
-from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
 
 
@@ -59,19 +52,6 @@ class DepthFigures:
     faces: int
     images: int
     images_per_second: float
-
-
-@dataclass(frozen=True)
-class LineFigures:
-    """What intersection-line analysis of one object costs with one implementation."""
-
-    object_id: str
-    faces: int
-    implementation: str
-    grasps: int
-    first_call_seconds: float  # compiling included
-    grasp_microseconds: float
-    differences: int  # touched triangles that are not those of the reference
 
 
 def pipeline_figures(dataset: Dataset) -> PipelineFigures:
@@ -160,57 +140,3 @@ def rows(figures: PipelineFigures) -> Iterator[tuple[str, str]]:
         f"{figures.steps:.0f} per grasp, {1e6 * figures.step_seconds:.1f} us each",
     )
     yield "trials inside the engine's step", f"{100 * figures.step_share:.0f} %"
-
-
-def line_figures(
-    scene: Scene, *, grasps: int, gripper: Gripper, implementations: Sequence[str] = IMPLEMENTATIONS
-) -> list[LineFigures]:
-    """Intersect the same lines with one object's surface by each implementation.
-
-    Args:
-        scene: The object at rest.
-        grasps: How many grasps.
-        gripper: Its pads' faces are sampled by 5 x 5 lines.
-        implementations: Of `gmdx_kernels.closing_lines`.
-
-    Raises:
-        GmdxError: The grasps could not be sampled.
-    """
-    batch = sample_grasps(scene, grasps, gripper=gripper)
-    obj, offsets = scene.object, pad_grid(gripper.pad_size, LineConfig().grid)
-    center = scene.to_object(batch.center)
-    axis = scene.direction_to_object(batch.axis)
-    up = np.broadcast_to(scene.direction_to_object(np.array([0.0, 0.0, 1.0])), center.shape)
-
-    def touched(implementation: str) -> Int[Array, "n 2 l"]:
-        return closing_lines(
-            obj.vertices,
-            obj.faces,
-            center,
-            axis,
-            up,
-            batch.width,
-            offsets=offsets,
-            implementation=implementation,
-        ).triangle
-
-    expected = touched("numpy")
-    found = []
-    for implementation in implementations:
-        seconds = []
-        for _ in range(4):  # the first call compiles, where anything does
-            start = time.process_time()
-            triangles = touched(implementation)
-            seconds.append(time.process_time() - start)
-        found.append(
-            LineFigures(
-                object_id=obj.object_id,
-                faces=len(obj.faces),
-                implementation=implementation,
-                grasps=len(batch),
-                first_call_seconds=seconds[0],
-                grasp_microseconds=1e6 * min(seconds[1:]) / len(batch),
-                differences=int((triangles != expected).sum()),
-            )
-        )
-    return found

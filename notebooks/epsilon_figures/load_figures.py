@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from epsilon_figures.stage import (
     PADS,
     closing_line,
@@ -12,7 +13,6 @@ from epsilon_figures.stage import (
     draw_stage,
     draw_turning,
 )
-
 from gmdx.arrays import Array, Float
 from gmdx.errors import MetricError
 from gmdx.metrics.epsilon.certified import Epsilon

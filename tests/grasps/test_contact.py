@@ -1,15 +1,14 @@
 from dataclasses import replace
 from importlib.resources import as_file, files
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from gmdx_kernels.closing_lines import IMPLEMENTATIONS
 
 from gmdx.errors import ConfigError
 from gmdx.grasps.contact import LineConfig, closing_contacts
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.machine.devices import accelerator
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
 from tests.support import (
@@ -188,35 +187,18 @@ def test_twice_the_size_doubles_every_length() -> None:
     np.testing.assert_allclose(after.pads.normals, before.pads.normals, atol=1e-9)
 
 
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-def test_every_implementation_finds_the_same_contacts_and_is_named(implementation: str) -> None:
-    scene = resting_scene(mesh_object(_bundled("mug")))
-    grasps = _random_grasps(scene, 24)
-    expected = closing_contacts(scene, grasps, gripper=GRIPPER, config=LineConfig())
-    assert expected.implementation == ("numpy" if accelerator() is None else "jax")
-    found = closing_contacts(
-        scene, grasps, gripper=GRIPPER, config=LineConfig(implementation=implementation)
-    )
-    assert found.implementation == implementation
-    for one, other in ((found.center, expected.center), (found.pads, expected.pads)):
-        assert one.valid.any()
-        np.testing.assert_array_equal(one.valid, other.valid)
-        np.testing.assert_allclose(one.points, other.points, atol=1e-9)
-        np.testing.assert_allclose(one.normals, other.normals, atol=1e-9)
-
-
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-def test_contacts_of_a_grasp_do_not_depend_on_its_batch(implementation: str) -> None:
+def test_contacts_of_a_grasp_do_not_depend_on_its_batch() -> None:
     scene = resting_scene(mesh_object(_bundled("hammer")))
-    grasps, config = _random_grasps(scene, 40), LineConfig(implementation=implementation)
-    together = closing_contacts(scene, grasps, gripper=GRIPPER, config=config)
+    grasps = _random_grasps(scene, 40)
+    together = closing_contacts(scene, grasps, gripper=GRIPPER)
     for some in (slice(7, 8), slice(3, 40)):
-        alone = closing_contacts(scene, grasps[some], gripper=GRIPPER, config=config)
+        alone = closing_contacts(scene, grasps[some], gripper=GRIPPER)
         for one, other in ((alone.center, together.center), (alone.pads, together.pads)):
             assert one.points.tobytes() == other.points[some].tobytes()
             assert one.normals.tobytes() == other.normals[some].tobytes()
 
 
-def test_an_unknown_implementation_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"'cuda'.* auto, numpy, embree, jax"):
-        LineConfig(implementation="cuda")
+@pytest.mark.parametrize("setting", [{"grid": (0, 5)}, {"touch_tolerance": -1e-3}])
+def test_lines_that_make_no_sense_are_refused(setting: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="a grid of 1 x 1 or more"):
+        LineConfig(**setting)

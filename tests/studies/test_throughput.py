@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gmdx_kernels.closing_lines import IMPLEMENTATIONS
 
 from gmdx.cli.main import main
 from gmdx.dataset.read import read_dataset
@@ -50,15 +49,6 @@ def test_bench_depth_prints_json(meshes: list[Path], capsys: pytest.CaptureFixtu
     assert row["object_id"].startswith("box0-")
     assert main(words) == 0
     assert "object id" in capsys.readouterr().out
-
-
-def test_bench_lines_compares_every_implementation(
-    meshes: list[Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bench", "lines", str(meshes[0]), "--grasps", "2", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [row["implementation"] for row in rows] == list(IMPLEMENTATIONS)
-    assert all(row["grasp_microseconds"] > 0 and row["differences"] == 0 for row in rows)
 
 
 def test_bench_pipeline_prints_json(meshes: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""What a first touch is: the decisions about lines and triangles that implementations share."""
+"""What a first touch is: which of the lines and triangles that may meet do, and where."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,8 +26,6 @@ class FirstTouch:
 class Problem:
     """A closed surface and the lines of n grasps; see `closing_lines`."""
 
-    vertices: Float[Array, "v 3"]  # m
-    faces: Int[Array, "f 3"]
     corners: Float[Array, "3 3 f"]  # m: coordinate, corner, triangle
     center: Float[Array, "n 3"]  # m
     frame: Float[Array, "n 3 3"]  # rows: along the axis, across, up
@@ -58,7 +56,7 @@ def corner_coordinate(
     """One coordinate (0 along, 1 across, 2 up) of a triangle's corners 0, 1, 2, m.
 
     Products are added from left to right, for every vertex alike: what two triangles share
-    has exactly the same coordinates in both, and in every implementation.
+    has exactly the same coordinates in both.
     """
     x, y, z = problem.frame[grasp, row].T
     a, b, c = problem.center[grasp].T

@@ -79,8 +79,8 @@ def test_auto_falls_back(site: Path) -> None:
 def test_array_kernels_name_a_missing_jax(missing: str, site: Path) -> None:
     code = (
         "from gmdx.machine.devices import implementation\n"
-        "print(implementation('auto', cpu='numpy'))\n"
-        "print(implementation('jax', cpu='numpy'))\n"
+        "print(implementation('auto'))\n"
+        "print(implementation('jax'))\n"
     )
     done = _python(site, code)
     if missing == "jax":

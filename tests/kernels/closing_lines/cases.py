@@ -1,16 +1,16 @@
-"""Surfaces and lines on which every implementation is tested, all of them seeded."""
+"""Surfaces and lines to find first touches on, all of them seeded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
+from gmdx_kernels.closing_lines import FirstTouch, closing_lines, pad_grid
 
-from gmdx_kernels.closing_lines.dispatch import closing_lines, pad_grid
-from gmdx_kernels.closing_lines.touches import Array, FirstTouch
-
+Array = np.ndarray[Any, np.dtype[Any]]
 Number = int | float
 
 
@@ -26,7 +26,7 @@ class Case:
     width: Array
     offsets: Array
 
-    def run(self, implementation: str, some: slice | Array = slice(None)) -> FirstTouch:
+    def run(self, some: slice | Array = slice(None)) -> FirstTouch:
         """First touches of all grasps, or of some."""
         return closing_lines(
             self.vertices,
@@ -36,7 +36,6 @@ class Case:
             self.up[some],
             self.width[some],
             offsets=self.offsets,
-            implementation=implementation,
         )
 
 
@@ -223,15 +222,6 @@ def at_the_fingers() -> Case:
     room = [0.0, 1e-10, -1e-10, 1e-7, -1e-7, 1e-5, -1e-5]
     width = [0.04 + 2 * gap for gap in room]
     return along_x(box, [[0, 0, 0]] * 7, width, np.array([[0.001, 0.002], [-0.01, 0.013]]))
-
-
-ALL: dict[str, Callable[[], Case]] = TWINNED | {
-    case.__name__: case
-    for case in (
-        ball_corners, ball_rim, box_faces, turned_box_faces, stack, double, needle,
-        tip, fingers_inside, at_the_fingers,
-    )
-}  # fmt: skip
 
 
 def bundled(name: str) -> trimesh.Trimesh:

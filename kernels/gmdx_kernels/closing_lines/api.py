@@ -1,15 +1,12 @@
-"""Intersection-line analysis in bulk, by one of several implementations of one definition."""
-
-from collections.abc import Callable
-from importlib import import_module
+"""Intersection-line analysis in bulk: many grasps on one surface."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from gmdx_kernels.closing_lines.touches import SAME_CROSSING, Array, FirstTouch, Problem
+from gmdx_kernels.closing_lines.clusters import cluster_triangles, near_pairs
+from gmdx_kernels.closing_lines.touches import SAME_CROSSING, Array, FirstTouch, Problem, decide
 
-_MODULES = {"numpy": "reference", "embree": "embree_kernel", "jax": "jax_kernel"}
-IMPLEMENTATIONS = tuple(_MODULES)
+_GRASPS, _LINES = 64, 512  # at most so many together: only a matter of speed and memory
 
 
 def pad_grid(pad_size: Float[Array, "2"], grid: tuple[int, int]) -> Float[Array, "l 2"]:
@@ -38,7 +35,6 @@ def closing_lines(
     width: Float[Array, "n"],
     *,
     offsets: Float[Array, "l 2"],
-    implementation: str = "numpy",
 ) -> FirstTouch:
     """First touches of a closed surface along lines parallel to each grasp's closing axis.
 
@@ -49,10 +45,8 @@ def closing_lines(
     its neighbour evaluates with exactly the opposite sign (Woop, Benthin and Wald 2013). Of
     triangles that a line enters at the same place (within 1e-9 m) the first in `faces` counts.
 
-    A grasp's result does not depend on the others in its batch, for any implementation:
-    `numpy` culls triangles by boxes and decides in float64; `jax` decides by the same float64
-    arithmetic for every triangle, for accelerators; `embree` has single-precision rays
-    find the triangles, and decides in float64 among these and their neighbours.
+    Only the triangles near each line are looked at, in float64. A grasp's result does not depend
+    on the others in its batch.
 
     Args:
         vertices: Corners of the surface, m, in the frame of the grasps.
@@ -62,26 +56,19 @@ def closing_lines(
         up: Unit vectors perpendicular to `axis`, out of the pads along the fingers.
         width: Opening between the fingers, m.
         offsets: Each line's offset from the centre, m: across (up x axis), and along `up`.
-        implementation: One of `IMPLEMENTATIONS`.
-
-    Raises:
-        ValueError: The implementation is unknown.
     """
-    kernel = _kernel(implementation)
     n, lines = len(center), len(offsets)
+    distance, triangle = np.full((n, 2, lines), np.nan), np.full((n, 2, lines), -1)
     if not (n and lines and len(faces)):
-        return FirstTouch(np.full((n, 2, lines), np.nan), np.full((n, 2, lines), -1))
+        return FirstTouch(distance, triangle)
     frame = np.stack([axis, np.cross(up, axis), up], axis=1)
     corners = np.take(np.ascontiguousarray(vertices.T), faces.T, axis=1)
     half = 0.5 * width + SAME_CROSSING  # what a finger stands at is in front of it
-    return kernel(Problem(vertices, faces, corners, center, frame, half, offsets))
-
-
-def _kernel(implementation: str) -> Callable[[Problem], FirstTouch]:
-    """The function that does it; only its own module, and what that needs, is imported."""
-    if implementation not in _MODULES:
-        known = ", ".join(IMPLEMENTATIONS)
-        raise ValueError(f"no implementation '{implementation}' of closing_lines: one of {known}")
-    module = import_module(f"gmdx_kernels.closing_lines.{_MODULES[implementation]}")
-    touch: Callable[[Problem], FirstTouch] = module.touch
-    return touch
+    clusters = cluster_triangles(corners)
+    chunk = max(1, min(_GRASPS, _LINES // lines))
+    for start in range(0, n, chunk):
+        some = slice(start, start + chunk)
+        part = Problem(corners, center[some], frame[some], half[some], offsets)
+        found = decide(part, near_pairs(part, clusters))
+        distance[some], triangle[some] = found.distance, found.triangle
+    return FirstTouch(distance, triangle)

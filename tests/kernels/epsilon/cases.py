@@ -1,10 +1,9 @@
-"""Pairs of contacts on which every implementation is tested: closed forms, and a mixture."""
+"""Pairs of contacts to value: some with a closed form, and a mixture of all kinds."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
 from gmdx_kernels.epsilon.arrays import Array, Float
 
 _X, _Y, _Z = np.eye(3)
@@ -53,6 +52,12 @@ def batch(
         torque_scale=np.array([torque_scale]),
         origin=np.array([origin], float),
     )
+
+
+def single(pairs: PairBatch, i: int) -> dict[str, Any]:
+    """Pair i as arguments of a function for one grasp."""
+    scalars = ("friction", "torsion", "torque_scale")
+    return {k: float(v[i]) if k in scalars else v[i] for k, v in vars(pairs).items()}
 
 
 def joined(batches: list[PairBatch]) -> PairBatch:
