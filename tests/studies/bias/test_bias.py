@@ -173,7 +173,7 @@ def test_report_is_one_page_that_loads_nothing(floor: BiasStudy) -> None:
     drawn = figures(floor)
     assert len(page.loads) == len(drawn)
     assert {"outcomes", "differences", "bland_altman", "truth"} <= set(drawn)
-    for name in figures:
+    for name in drawn:
         assert f'<figure id="{name}">' in text
     for comparison in floor.comparisons:
         assert comparison.label in text
