@@ -8,7 +8,7 @@ import numpy as np
 from gmdx.arrays import Array, Float
 from gmdx.errors import DatasetError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
-from gmdx.metrics.epsilon.patch import hull_corners
+from gmdx.metrics.epsilon import hull_corners
 from gmdx.metrics.table import METRICS
 from gmdx.pictures.figure import INK, DrawConfig, metric_named, new_figure
 from gmdx.pictures.shading import (

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from epsilon_figures.stage import (
     PADS,
     closing_line,
@@ -12,14 +13,12 @@ from epsilon_figures.stage import (
     draw_stage,
     draw_turning,
 )
-
 from gmdx.arrays import Array, Float
 from gmdx.errors import MetricError
-from gmdx.metrics.epsilon.certified import Epsilon
-from gmdx.metrics.epsilon.strength import Strength, directional_strength, gravity_wrench
+from gmdx.metrics.epsilon import Epsilon, Strength, directional_strength, gravity_wrench
 from gmdx.pictures.figure import INK, DrawConfig, new_figure
 from gmdx.scenes.scene import Scene
-from gmdx.studies.epsilon.contacts import Contacts
+from gmdx.studies.epsilon import Contacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

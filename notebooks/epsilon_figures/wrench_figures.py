@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from epsilon_figures.stage import towards_viewer
 from epsilon_figures.wrench_space import HullErrors, WrenchSection, WrenchSlice
-
 from gmdx.arrays import Array, Bool, Float
 from gmdx.pictures.figure import INK, DrawConfig, new_figure
 

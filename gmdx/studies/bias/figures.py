@@ -34,7 +34,7 @@ def with_shown_unit(metric: str) -> str:
     return f"{metric} ({unit})" if unit else metric
 
 
-def figures(study: "BiasStudy") -> dict[str, "Figure"]:
+def bias_figures(study: "BiasStudy") -> dict[str, "Figure"]:
     """Every figure of the report, by name, in its order."""
     from gmdx.studies.bias.pictures import disputed_picture
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gmdx.pictures.page import number, p_value, page, percent, picture, table
 from gmdx.studies.bias.compare import MetricAgreement
-from gmdx.studies.bias.figures import DRAWN, figures, shown, with_shown_unit
+from gmdx.studies.bias.figures import DRAWN, bias_figures, shown, with_shown_unit
 from gmdx.studies.bias.words import (
     CAPTIONS,
     difference_text,
@@ -24,7 +24,7 @@ def report_html(study: "BiasStudy") -> str:
     """The whole report."""
     pictures = {
         name: picture(name, figure, CAPTIONS.get(name.split("_")[0], ""))
-        for name, figure in figures(study).items()
+        for name, figure in bias_figures(study).items()
     }
     disputed = [html for name, html in pictures.items() if name.startswith("disputed")]
     title = f"{study.dataset.root.name}: {study.engines.label}"
