@@ -14,9 +14,15 @@ if TYPE_CHECKING:
     from gmdx.grasps.grasp import PadContacts, PlanarGrasp
     from gmdx.grasps.sample import SampleConfig, sample_grasps
     from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
-    from gmdx.metrics.epsilon.certified import Epsilon, epsilon
-    from gmdx.metrics.epsilon.many import EpsilonBatch, epsilon_batch
-    from gmdx.metrics.epsilon.strength import Strength, directional_strength, gravity_wrench
+    from gmdx.metrics.epsilon import (
+        Epsilon,
+        EpsilonBatch,
+        Strength,
+        directional_strength,
+        epsilon,
+        epsilon_batch,
+        gravity_wrench,
+    )
     from gmdx.metrics.quality import Evidence, QualityConfig, Tally
     from gmdx.metrics.table import METRIC_NAMES, METRICS, Metric
     from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
@@ -87,11 +93,12 @@ _MODULES = {
     "gmdx.errors": ("GmdxError",),
     "gmdx.grasps.grasp": ("PadContacts", "PlanarGrasp"),
     "gmdx.grasps.sample": ("SampleConfig", "sample_grasps"),
-    "gmdx.metrics.epsilon.many": ("EpsilonBatch", "epsilon_batch"),
     "gmdx.metrics.compute": ("MetricConfig", "MetricTable", "compute_metrics"),
-    "gmdx.metrics.epsilon.certified": ("Epsilon", "epsilon"),
     "gmdx.metrics.quality": ("Evidence", "QualityConfig", "Tally"),
-    "gmdx.metrics.epsilon.strength": ("Strength", "directional_strength", "gravity_wrench"),
+    "gmdx.metrics.epsilon": (
+        "Epsilon", "EpsilonBatch", "Strength", "directional_strength", "epsilon",
+        "epsilon_batch", "gravity_wrench",
+    ),
     "gmdx.metrics.table": ("METRICS", "METRIC_NAMES", "Metric"),
     "gmdx.objects.model": ("ObjectModel", "OrientedBox", "StablePoses"),
     "gmdx.objects.prepare": ("PrepareConfig", "load_object"),
@@ -104,7 +111,7 @@ _MODULES = {
     "gmdx.trials.protocol": ("TrialConfig",),
     "gmdx.trials.results": ("Snapshot", "TrialResults"),
     "gmdx.trials.run": ("run_trials",),
-}
+}  # fmt: skip
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 

@@ -15,7 +15,7 @@ from gmdx.errors import UsageError
 
 if TYPE_CHECKING:
     from gmdx.scenes.scene import Scene
-    from gmdx.studies.epsilon.methods import EpsilonFigures, MethodFigures
+    from gmdx.studies.epsilon import EpsilonFigures, MethodFigures
 
 _Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")]
 _Gripper = Annotated[str, arg(metavar="NAME|FILE")]
@@ -119,7 +119,7 @@ class Epsilon:
 
     def run(self) -> int:
         """Run every method once, one after the other."""
-        from gmdx.studies.epsilon.methods import EpsilonStudyConfig, epsilon_figures
+        from gmdx.studies.epsilon import EpsilonStudyConfig, epsilon_figures
 
         if self.grasps < 1:
             raise UsageError(f"--grasps must be at least 1, not {self.grasps}")
@@ -152,7 +152,7 @@ class Patches:
     def run(self) -> int:
         """Compute both on every object."""
         from gmdx.scenes.gripper import load_gripper
-        from gmdx.studies.epsilon.patches import patch_figures
+        from gmdx.studies.epsilon import patch_figures
 
         gripper = load_gripper(self.gripper)
         found = patch_figures(_scenes(self.objects), grasps=self.grasps, gripper=gripper)
@@ -178,7 +178,7 @@ def numbers(text: str, *, option: str) -> list[int]:
 def _scenes(objects: tuple[str, ...]) -> Iterator["Scene"]:
     """One scene of each object, which is prepared without a cache."""
     from gmdx.objects.prepare import PrepareConfig, prepare
-    from gmdx.objects.sources.resolve import resolve
+    from gmdx.objects.sources import resolve
     from gmdx.scenes.settle import settle
 
     for source in resolve(list(objects)):

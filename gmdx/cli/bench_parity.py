@@ -26,7 +26,7 @@ from gmdx.cli.terminal import console, interrupts_kept, say
 from gmdx.errors import UsageError
 
 if TYPE_CHECKING:
-    from gmdx.studies.engines.parity_result import EngineParity, MetricParity, ParityFigures
+    from gmdx.studies.engines import EngineParity, MetricParity, ParityFigures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,9 +62,9 @@ class Parity:
         """Run every engine, and show how it differs."""
         with interrupts_kept():
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engines.parity_runs import parity_figures
-            from gmdx.studies.engines.runs import (
+            from gmdx.studies.engines import (
                 choose_all,
+                parity_figures,
                 refuse_idle_sizes,
                 refuse_less_than_one,
             )

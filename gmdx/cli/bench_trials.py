@@ -17,9 +17,7 @@ from gmdx.cli.terminal import console, following, interrupts_kept, say
 
 if TYPE_CHECKING:
     from gmdx.scenes.scene import Scene
-    from gmdx.studies.engines.machine import Machine
-    from gmdx.studies.engines.runs import RunFailure, RunProgress
-    from gmdx.studies.engines.speed import TrialFigures, TrialSpeed
+    from gmdx.studies.engines import Machine, RunFailure, RunProgress, TrialFigures, TrialSpeed
 
 DONE, ENGINE_FAILED = 0, 1
 
@@ -66,12 +64,12 @@ class Trials:
         """Run every engine, and show what it took."""
         with interrupts_kept():
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engines.runs import (
+            from gmdx.studies.engines import (
                 choose_all,
                 refuse_idle_sizes,
                 refuse_less_than_one,
+                trial_figures,
             )
-            from gmdx.studies.engines.speed import trial_figures
 
         engines, gripper = names(self.engine), load_gripper(self.gripper)
         sizes = (
@@ -110,7 +108,7 @@ def names(text: str) -> list[str]:
 def prepared_scenes(objects: tuple[str, ...]) -> list["Scene"]:
     """One scene of each object; what was prepared before comes from the user's cache."""
     from gmdx.objects.prepare import prepare
-    from gmdx.objects.sources.resolve import resolve
+    from gmdx.objects.sources import resolve
     from gmdx.pipeline.generate import Progress
     from gmdx.scenes.settle import settle
 

@@ -20,7 +20,7 @@ from gmdx.errors import GmdxError, GripperError, UsageError
 from gmdx.machine.processes import THREAD_VARIABLES, available_cores, run_tasks
 
 if TYPE_CHECKING:
-    from gmdx.objects.sources.source import ObjectSource
+    from gmdx.objects.sources import ObjectSource
     from gmdx.pipeline.generate import GenerateConfig, Summary
 
 DONE, NOTHING_PRODUCED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -86,7 +86,7 @@ class Generate:
         """Generate the dataset."""
         with interrupts_kept():
             from gmdx.pipeline.generate import generate
-            from gmdx.trials.engines.registry import open_engine
+            from gmdx.trials.engines import open_engine
 
             settings = self.settings()
             open_engine(settings.engine)  # imports what it needs
@@ -216,7 +216,7 @@ class Prepare:
     def run(self) -> int:
         """Print a report per object."""
         with interrupts_kept():
-            from gmdx.objects.sources.resolve import resolve
+            from gmdx.objects.sources import resolve
 
         sources = resolve(list(self.objects))
         workers = available_cores() if self.workers is None else self.workers
@@ -299,10 +299,13 @@ class Bias:
         with interrupts_kept():
             from gmdx.pipeline.generate import Progress
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.bias.parts import ReplayProgress
-            from gmdx.studies.bias.result import BiasConfig
-            from gmdx.studies.bias.study import bias_study
-            from gmdx.studies.bias.words import summary, summary_head
+            from gmdx.studies.bias import (
+                BiasConfig,
+                ReplayProgress,
+                bias_study,
+                summary,
+                summary_head,
+            )
 
         config = BiasConfig(
             objects=self.objects,
@@ -368,12 +371,12 @@ class Sensitivity:
         """Run the study, and show what matters most."""
         with interrupts_kept():
             from gmdx.pipeline.generate import Progress
-            from gmdx.studies.sensitivity.report import table
-            from gmdx.studies.sensitivity.result import summary
-            from gmdx.studies.sensitivity.study import (
+            from gmdx.studies.sensitivity import (
                 SensitivityConfig,
                 StudyProgress,
                 sensitivity_study,
+                summary,
+                table,
             )
 
         names = tuple(name.strip() for name in self.parameters.split(",") if name.strip())

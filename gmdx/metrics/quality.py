@@ -11,10 +11,7 @@ from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.errors import ConfigError, MetricError
 from gmdx.grasps.grasp import PadContacts
 from gmdx.machine.devices import check_implementation, implementation
-from gmdx.metrics.epsilon._certify import NEAR_ZERO
-from gmdx.metrics.epsilon.certified import check_effort, epsilon
-from gmdx.metrics.epsilon.many import epsilon_batch
-from gmdx.metrics.epsilon.patch import essential_contacts
+from gmdx.metrics.epsilon import NEAR_ZERO, check_effort, epsilon, epsilon_batch, essential_contacts
 from gmdx.rng import generator
 from gmdx.scenes.scene import Scene
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.sources import ObjectSource
 
 _PACKAGES = ("coacd", "fast-simplification", "manifold3d", "numpy", "scipy", "trimesh")
 _NOT_PREPARATION = frozenset({"cache.py", "report.py", "sources"})  # of gmdx.objects

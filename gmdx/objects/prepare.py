@@ -20,12 +20,10 @@ from gmdx.geometry import quaternion_matrix
 from gmdx.machine.caches import cache_folder
 from gmdx.objects.box import smallest_box, smallest_rectangle
 from gmdx.objects.cache import cache_key, read_cached, write_cached
-from gmdx.objects.decompose.decomposition import DecomposeConfig, decompose
+from gmdx.objects.decompose import DecomposeConfig, decompose
 from gmdx.objects.model import ObjectModel, StablePoses
-from gmdx.objects.repair.read import as_trimesh, read_mesh
-from gmdx.objects.repair.repairing import RepairConfig, RepairedMesh, repair
-from gmdx.objects.sources.files import file_source
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.repair import RepairConfig, RepairedMesh, as_trimesh, read_mesh, repair
+from gmdx.objects.sources import ObjectSource, file_source
 from gmdx.objects.stable import StableConfig, stable_poses
 
 _PLAUSIBLE = (1e-3, 3.0)  # m, longest side of an object that a gripper could be meant for

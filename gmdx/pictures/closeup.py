@@ -1,7 +1,6 @@
 """A close-up of one grasp: the object between the pads, the contacts, their friction cones."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,65 +8,32 @@ import numpy as np
 from gmdx.arrays import Array, Float
 from gmdx.errors import DatasetError
 from gmdx.grasps.grasp import PadContacts, PlanarGrasp
-from gmdx.metrics.epsilon.patch import hull_corners
+from gmdx.metrics.epsilon import hull_corners
 from gmdx.metrics.table import METRICS
 from gmdx.pictures.figure import INK, DrawConfig, metric_named, new_figure
+from gmdx.pictures.shading import (
+    PAD_THICKNESS,
+    PADS,
+    SIDE,
+    TOP,
+    ToolFrame,
+    View,
+    draw_pads,
+    draw_surface,
+    draw_table,
+    tool_frame,
+)
 from gmdx.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PADS = ("#1f6fb2", "#c8553d")  # colours of pad 0 and pad 1
 _TRIAL = "#1b8a3a"
 _SECTION = "0.25"
-_SURFACE = np.array([0.93, 0.90, 0.85])
-_THICKNESS = 0.006  # m, of a pad as drawn
 _CONE = 0.008  # m, height of a friction cone as drawn
 _NORMAL = 0.004  # m, length of a normal as drawn
 _MARGIN = 0.004  # m, around what must be seen
-
-
-@dataclass(frozen=True)
-class _View:
-    """A direction to look from, in the gripper's tool frame."""
-
-    label: str
-    up: int  # tool axis that points up in the picture; the closing axis points right
-    towards: Float[Array, "3"]  # the viewer
-    light: Float[Array, "3"]  # unit, towards the light
-    up_label: str
-
-    def flat(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
-        """Points of the tool frame in the picture, mm."""
-        seen: Array = 1e3 * points[..., [0, self.up]]
-        return seen
-
-
-_TOP = _View(
-    "from above", 1, np.array([0.0, 0.0, 1.0]), np.array([-0.40, 0.50, 0.77]),
-    "across the pads (mm)",
-)  # fmt: skip
-_SIDE = _View(
-    "from the side", 2, np.array([0.0, -1.0, 0.0]), np.array([-0.40, -0.77, 0.50]),
-    "above the tool point (mm)",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _ToolFrame:
-    """From the object's frame to the tool's: the closing axis is x, up is z."""
-
-    rotation: Float[Array, "3 3"]  # object to tool
-    origin: Float[Array, "3"]  # m, the tool point in the object's frame
-
-    def points(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        placed: Array = (points - self.origin) @ self.rotation.T
-        return placed
-
-    def directions(self, vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        turned: Array = vectors @ self.rotation.T
-        return turned
 
 
 def draw_closeup(
@@ -107,30 +73,26 @@ def draw_closeup(
         sizes = ", ".join(map(str, counts))
         raise DatasetError(f"a close-up shows one grasp; got batches of {sizes}")
     values = {metric_named(name).name: value for name, value in (metrics or {}).items()}
-    axis = grasp.axis[0]
-    up = np.array([0.0, 0.0, 1.0])
-    frame = _ToolFrame(
-        np.stack([axis, np.cross(up, axis), up]) @ scene.rotation, scene.to_object(grasp.center)[0]
-    )
+    frame = tool_frame(scene.rotation, scene.position, tool=grasp.center[0], axis=grasp.axis[0])
     opening, height = float(grasp.width[0]), float(grasp.center[0, 2])
 
     figure = new_figure(config)
     box_width, box_height = (0.57 if values else 0.89), 0.355
-    ranges = [_vertical(view, frame, scene, pad_size, height) for view in (_TOP, _SIDE)]
-    across = opening + 2 * (_THICKNESS + _MARGIN)
+    ranges = [_vertical(view, frame, scene, pad_size, height) for view in (TOP, SIDE)]
+    across = opening + 2 * (PAD_THICKNESS + _MARGIN)
     # One scale for both pictures: millimetres per pixel.
     scale = 1e3 * max(
         across / (box_width * config.width),
         *((high - low) / (box_height * config.height) for low, high in ranges),
     )
-    for view, vertical, bottom in zip((_TOP, _SIDE), ranges, (0.51, 0.08), strict=True):
+    for view, vertical, bottom in zip((TOP, SIDE), ranges, (0.51, 0.08), strict=True):
         box = (0.075, bottom, box_width, box_height)
         axes = figure.add_axes(box)
         _frame_picture(axes, view, vertical, scale, box, config)
-        _show_surface(axes, view, frame, scene, height)
+        _show_object(axes, view, frame, scene, height)
         _show_gripper(axes, view, opening, pad_size)
         friction = scene.object.friction
-        _show_contacts(axes, view, frame, analytical, friction, colors=_PADS, marker="o")
+        _show_contacts(axes, view, frame, analytical, friction, colors=PADS, marker="o")
         if simulated is not None:
             _show_contacts(axes, view, frame, simulated, friction, colors=(_TRIAL,) * 2, marker="D")
     _legend(figure, scene.object.friction, with_trial=simulated is not None)
@@ -145,20 +107,20 @@ def draw_closeup(
 
 
 def _vertical(
-    view: _View, frame: _ToolFrame, scene: Scene, pad_size: tuple[float, float], height: float
+    view: View, frame: ToolFrame, scene: Scene, pad_size: tuple[float, float], height: float
 ) -> tuple[float, float]:
     """What the picture must show upwards: the pad, and around it the object down to the table."""
     pad = pad_size[view.up - 1]
     reached = frame.points(scene.object.vertices)[:, view.up]
     low = max(float(reached.min()), -1.2 * pad)
-    if view is _SIDE:
+    if view is SIDE:
         low = max(-height, -1.6 * pad)
     high = min(float(reached.max()), 1.2 * pad)
     return min(low, -0.5 * pad) - _MARGIN, max(high, 0.5 * pad) + _MARGIN
 
 
 def _frame_picture(
-    axes: "Axes", view: _View, vertical: tuple[float, float], scale: float,
+    axes: "Axes", view: View, vertical: tuple[float, float], scale: float,
     box: tuple[float, float, float, float], config: DrawConfig,
 ) -> None:  # fmt: skip
     """Limits, labels and ticks; `scale` is in mm a pixel."""
@@ -169,7 +131,7 @@ def _frame_picture(
     axes.set_ylim(middle - half_height, middle + half_height)
     axes.set_facecolor("white")
     axes.set_ylabel(view.up_label, fontsize=11, color=INK)
-    if view is _SIDE:
+    if view is SIDE:
         axes.set_xlabel("along the closing axis (mm)", fontsize=11, color=INK)
     axes.tick_params(labelsize=10, color=INK, labelcolor=INK)
     for spine in axes.spines.values():
@@ -180,29 +142,14 @@ def _frame_picture(
     )  # fmt: skip
 
 
-def _show_surface(
-    axes: "Axes", view: _View, frame: _ToolFrame, scene: Scene, height: float
-) -> None:
-    """The table, the shaded surface, far triangles first, and the section in bold."""
-    from matplotlib.collections import LineCollection, PolyCollection
+def _show_object(axes: "Axes", view: View, frame: ToolFrame, scene: Scene, height: float) -> None:
+    """The shaded surface, the table where it is seen, and the section in bold."""
+    from matplotlib.collections import LineCollection
 
     triangles = frame.points(scene.object.vertices)[scene.object.faces]
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    facing = np.flatnonzero(normals @ view.towards > 0)
-    order = facing[np.argsort(triangles[facing].mean(axis=1) @ view.towards)]
-    shade = 0.62 + 0.38 * np.clip(normals[order] @ view.light, 0, 1)
-    colors = shade[:, None] * _SURFACE
-    axes.add_collection(
-        PolyCollection(
-            list(view.flat(triangles[order])), facecolors=colors, edgecolors=colors, linewidths=0.8
-        ),
-        autolim=False,
-    )
-    if view is _SIDE:
-        low = axes.get_ylim()[0]
-        axes.axhspan(low - 1, -1e3 * height, facecolor="0.8", zorder=2)
-        axes.axhline(-1e3 * height, color="0.4", linewidth=1, zorder=3)
+    draw_surface(axes, view, triangles)
+    if view is SIDE:
+        draw_table(axes, height)
     section = section_lines(triangles, 3 - view.up)
     axes.add_collection(
         LineCollection(
@@ -224,18 +171,10 @@ def section_lines(triangles: Float[Array, "f 3 3"], axis: int) -> Float[Array, "
     return lines
 
 
-def _show_gripper(axes: "Axes", view: _View, opening: float, pad_size: tuple[float, float]) -> None:
+def _show_gripper(axes: "Axes", view: View, opening: float, pad_size: tuple[float, float]) -> None:
     """The open pads as boxes, and the lines along which they close."""
-    from matplotlib.patches import Rectangle
-
+    draw_pads(axes, view, opening, pad_size)
     half, pad = 0.5e3 * opening, 1e3 * pad_size[view.up - 1]
-    for side, color in zip((-1, 1), _PADS, strict=True):
-        left = half if side > 0 else -half - 1e3 * _THICKNESS
-        box = Rectangle(
-            (left, -0.5 * pad), 1e3 * _THICKNESS, pad, facecolor=color, edgecolor=color, alpha=0.85,
-            zorder=6,
-        )  # fmt: skip
-        axes.add_patch(box)
     axes.plot([-half, half], [0, 0], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), zorder=6)
     for edge in (-0.5 * pad, 0.5 * pad):
         axes.plot(
@@ -244,7 +183,7 @@ def _show_gripper(axes: "Axes", view: _View, opening: float, pad_size: tuple[flo
 
 
 def _show_contacts(
-    axes: "Axes", view: _View, frame: _ToolFrame, contacts: PadContacts, friction: float, *,
+    axes: "Axes", view: View, frame: ToolFrame, contacts: PadContacts, friction: float, *,
     colors: tuple[str, ...], marker: str,
 ) -> None:  # fmt: skip
     """Contact points with their normals, and one friction cone a pad."""
@@ -297,13 +236,13 @@ def _legend(figure: "Figure", friction: float, *, with_trial: bool) -> None:
         return Line2D([], [], color=color, marker=marker, markersize=6, linewidth=1.2)
 
     handles = {
-        "pad 0": Patch(color=_PADS[0], alpha=0.85),
-        "pad 1": Patch(color=_PADS[1], alpha=0.85),
-        "first touch, normal": dot(_PADS[0], "o"),
+        "pad 0": Patch(color=PADS[0], alpha=0.85),
+        "pad 1": Patch(color=PADS[1], alpha=0.85),
+        "first touch, normal": dot(PADS[0], "o"),
     }
     if with_trial:
         handles["touched in the trial"] = dot(_TRIAL, "D")
-    handles[f"friction cone ({friction:g})"] = Patch(color=_PADS[0], alpha=0.22)
+    handles[f"friction cone ({friction:g})"] = Patch(color=PADS[0], alpha=0.22)
     handles["closing line"] = Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
     handles["section"] = Line2D([], [], color=_SECTION, linewidth=1.8)
     figure.legend(

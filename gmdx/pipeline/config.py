@@ -10,7 +10,7 @@ from gmdx.scenes.camera import CameraConfig
 from gmdx.scenes.gripper import DEFAULT_GRIPPER
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.settle import SettleConfig
-from gmdx.trials.engines.registry import DEFAULT_ENGINE, ENGINES, choose
+from gmdx.trials.engines import DEFAULT_ENGINE, ENGINES, choose
 from gmdx.trials.protocol import TRIALS, TrialConfig
 
 

@@ -27,8 +27,7 @@ from gmdx.pipeline.stages import (
     failure,
     lost,
 )
-from gmdx.trials.engines.parallel import OBJECTS, Cancelled, ParallelEngine
-from gmdx.trials.engines.registry import open_engine
+from gmdx.trials.engines import MOST_OBJECTS, Cancelled, ParallelEngine, open_engine
 from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 
@@ -171,7 +170,7 @@ class _Device:
     def __init__(self, engine: ParallelEngine, config: GenerateConfig) -> None:
         self.engine, self._config = engine, config
         trials = config.scenes * config.grasps * config.trials
-        self.objects = min(max(1, -(-engine.wanted_trials // trials)), OBJECTS)  # a batch
+        self.objects = min(max(1, -(-engine.wanted_trials // trials)), MOST_OBJECTS)  # a batch
         self._given: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._done: queue.SimpleQueue[_Batch | BaseException] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._serve, name="gmdx trials", daemon=True)

@@ -14,14 +14,13 @@ from gmdx.dataset.store import DatasetStore, OutputError
 from gmdx.files.formats import read_json
 from gmdx.machine.processes import Crash, Finished, run_tasks
 from gmdx.objects.prepare import content_hash
-from gmdx.objects.sources.resolve import resolve
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pipeline.annotate import annotate
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.pipeline.device import annotate_in_batches
 from gmdx.pipeline.stages import ObjectOutcome, Task, lost
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
-from gmdx.trials.engines.registry import AUTO, ENGINES, choose, open_engine
+from gmdx.trials.engines import AUTO, ENGINES, choose, open_engine
 
 logger = logging.getLogger("gmdx")
 

@@ -16,7 +16,7 @@ from gmdx.machine.clock import Clock, Seconds
 from gmdx.metrics.compute import MetricTable, compute_metrics
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import prepare
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.sources import ObjectSource
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.scenes.camera import DepthImage, render
 from gmdx.scenes.gripper import Gripper

@@ -1,18 +1,16 @@
 """Figures about the pipeline itself: its speed, its simulator's bias, what its labels depend on.
 
-The studies' entries are here; each is imported from its module when it is first used.
+A folder a study. The studies' entries are here; each is imported from its study's door when it is
+first used.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gmdx.studies.bias.figures import figures as bias_figures
-    from gmdx.studies.bias.result import BiasConfig, BiasStudy
-    from gmdx.studies.bias.study import bias_study
-    from gmdx.studies.engines.truth import truth_table
-    from gmdx.studies.sensitivity.result import SensitivityStudy
-    from gmdx.studies.sensitivity.study import SensitivityConfig, sensitivity_study
+    from gmdx.studies.bias import BiasConfig, BiasStudy, bias_figures, bias_study
+    from gmdx.studies.engines import truth_table
+    from gmdx.studies.sensitivity import SensitivityConfig, SensitivityStudy, sensitivity_study
 
 __all__ = [
     "BiasConfig",
@@ -25,21 +23,16 @@ __all__ = [
     "truth_table",
 ]
 
-_HOME = {
-    "BiasConfig": ("bias.result", "BiasConfig"),
-    "BiasStudy": ("bias.result", "BiasStudy"),
-    "SensitivityConfig": ("sensitivity.study", "SensitivityConfig"),
-    "SensitivityStudy": ("sensitivity.result", "SensitivityStudy"),
-    "bias_figures": ("bias.figures", "figures"),
-    "bias_study": ("bias.study", "bias_study"),
-    "sensitivity_study": ("sensitivity.study", "sensitivity_study"),
-    "truth_table": ("engines.truth", "truth_table"),
+_DOORS = {
+    "gmdx.studies.bias": ("BiasConfig", "BiasStudy", "bias_figures", "bias_study"),
+    "gmdx.studies.engines": ("truth_table",),
+    "gmdx.studies.sensitivity": ("SensitivityConfig", "SensitivityStudy", "sensitivity_study"),
 }
+_HOME = {name: door for door, names in _DOORS.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """A study's entry, from the module that defines it."""
+    """A study's entry, from the door that offers it."""
     if name not in _HOME:
         raise AttributeError(f"module 'gmdx.studies' has no attribute {name!r}")
-    module, attribute = _HOME[name]
-    return getattr(import_module(f"gmdx.studies.{module}"), attribute)
+    return getattr(import_module(_HOME[name]), name)

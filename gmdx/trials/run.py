@@ -12,8 +12,7 @@ from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.scenes.gripper import Gripper, load_gripper
 from gmdx.scenes.scene import Scene
-from gmdx.trials.engines.engine import Engine
-from gmdx.trials.engines.registry import DEFAULT_ENGINE, open_engine
+from gmdx.trials.engines import DEFAULT_ENGINE, Engine, open_engine
 from gmdx.trials.placement import RawTrials, TrialBatch, check_alike, place, to_world
 from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults

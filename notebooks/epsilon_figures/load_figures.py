@@ -15,11 +15,10 @@ from epsilon_figures.stage import (
 )
 from gmdx.arrays import Array, Float
 from gmdx.errors import MetricError
-from gmdx.metrics.epsilon.certified import Epsilon
-from gmdx.metrics.epsilon.strength import Strength, directional_strength, gravity_wrench
+from gmdx.metrics.epsilon import Epsilon, Strength, directional_strength, gravity_wrench
 from gmdx.pictures.figure import INK, DrawConfig, new_figure
 from gmdx.scenes.scene import Scene
-from gmdx.studies.epsilon.contacts import Contacts
+from gmdx.studies.epsilon import Contacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

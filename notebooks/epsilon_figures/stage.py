@@ -10,7 +10,7 @@ from gmdx.metrics.epsilon.wrench import tangents
 from gmdx.pictures.closeup import cone_points
 from gmdx.pictures.figure import INK
 from gmdx.scenes.scene import Scene
-from gmdx.studies.epsilon.contacts import Contacts
+from gmdx.studies.epsilon import Contacts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

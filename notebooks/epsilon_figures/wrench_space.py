@@ -8,11 +8,9 @@ import numpy as np
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import ConfigError, MetricError
-from gmdx.metrics.epsilon.certified import Epsilon, epsilon
-from gmdx.metrics.epsilon.strength import directional_strength
+from gmdx.metrics.epsilon import Epsilon, directional_strength, epsilon
 from gmdx.metrics.epsilon.wrench import tangents
-from gmdx.studies.epsilon.approximations import linearised_epsilon, sampled_epsilon
-from gmdx.studies.epsilon.contacts import Contacts
+from gmdx.studies.epsilon import Contacts, linearised_epsilon, sampled_epsilon
 
 
 @dataclass(frozen=True)

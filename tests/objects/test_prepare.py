@@ -12,7 +12,7 @@ from gmdx.machine.caches import cache_folder
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import PrepareConfig, load_object, prepare
 from gmdx.objects.report import describe
-from gmdx.objects.sources.resolve import resolve
+from gmdx.objects.sources import resolve
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "objects"
 

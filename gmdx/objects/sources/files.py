@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gmdx.errors import CatalogError
-from gmdx.objects.repair.read import FORMATS
+from gmdx.objects.repair import FORMATS
 from gmdx.objects.sources.source import ObjectSource
 
 _log = logging.getLogger("gmdx")

@@ -1,16 +1,15 @@
 """Figures of a bias study: the engines' difference, always beside the noise floor."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gmdx.metrics.table import METRICS
+from gmdx.pictures.charts import key, label_panels, legend_above, panels
 from gmdx.pictures.figure import INK, DrawConfig, new_figure
 from gmdx.trials.outcome import Outcome
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -35,7 +34,7 @@ def with_shown_unit(metric: str) -> str:
     return f"{metric} ({unit})" if unit else metric
 
 
-def figures(study: "BiasStudy") -> dict[str, "Figure"]:
+def bias_figures(study: "BiasStudy") -> dict[str, "Figure"]:
     """Every figure of the report, by name, in its order."""
     from gmdx.studies.bias.pictures import disputed_picture
 
@@ -83,8 +82,6 @@ def draw_outcomes(study: "BiasStudy") -> "Figure":
 
 def draw_differences(study: "BiasStudy") -> "Figure":
     """Mean differences with their intervals, in standard deviations over the grasps."""
-    from matplotlib.lines import Line2D
-
     figure = new_figure(DrawConfig(width=900, height=140 + 46 * len(DRAWN)))
     axes = figure.subplots()
     count = len(study.comparisons)
@@ -111,18 +108,15 @@ def draw_differences(study: "BiasStudy") -> "Figure":
         f"mean difference from {study.engines.first}, 95 % interval clustered by object\n"
         "(standard deviations of the metric over the grasps)"
     )
-    lines = [
-        Line2D([], [], color=COLORS[c.name], marker="o", label=c.second) for c in study.comparisons
-    ]
-    _legend(figure, lines)
+    legend_above(figure, [key(COLORS[c.name], c.second, marker="o") for c in study.comparisons])
     figure.tight_layout(rect=(0, 0, 1, 0.96))
     return figure
 
 
 def draw_bland_altman(study: "BiasStudy") -> "Figure":
     """Differences of the engines over their means, with limits; the floor's limits are shaded."""
-    figure, panels = _grid(len(DRAWN), height=250)
-    for axes, name in zip(panels, DRAWN, strict=False):
+    figure, grid = _metric_panels(height=250)
+    for axes, name in zip(grid, DRAWN, strict=True):
         scale, _ = shown(name)
         a, b = (scale * study.rows[run].values[name] for run in ("a", "b"))
         found = study.engines.metric(name)
@@ -139,7 +133,7 @@ def draw_bland_altman(study: "BiasStudy") -> "Figure":
             if np.isfinite(edge):
                 axes.axhline(scale * edge, color=INK, linewidth=1, linestyle="--")
         axes.set_title(with_shown_unit(name), fontsize=10, color=INK)
-    _label_grid(panels, len(DRAWN), "mean of the engines", f"{study.engines.label}")
+    label_panels(grid, "mean of the engines", study.engines.label)
     figure.suptitle(
         "solid: mean difference; dashed: 95 % limits of agreement; "
         "shaded: the noise floor's widest limits",
@@ -151,10 +145,8 @@ def draw_bland_altman(study: "BiasStudy") -> "Figure":
 
 def draw_distributions(study: "BiasStudy") -> "Figure":
     """Distribution functions of every run; the engines' are thick."""
-    from matplotlib.lines import Line2D
-
-    figure, panels = _grid(len(DRAWN), height=230)
-    for axes, name in zip(panels, DRAWN, strict=False):
+    figure, grid = _metric_panels(height=230)
+    for axes, name in zip(grid, DRAWN, strict=True):
         scale, _ = shown(name)
         for run in reversed(study.runs):
             values = np.sort(scale * study.rows[run.name].values[name])
@@ -166,8 +158,8 @@ def draw_distributions(study: "BiasStudy") -> "Figure":
             axes.step(values, share, where="post", color=COLORS[run.name], linewidth=width)
         axes.set_ylim(0, 1.02)
         axes.set_title(with_shown_unit(name), fontsize=10, color=INK)
-    _label_grid(panels, len(DRAWN), "value", "share of grasps below")
-    _legend(figure, [Line2D([], [], color=COLORS[r.name], label=r.label) for r in study.runs])
+    label_panels(grid, "value", "share of grasps below")
+    legend_above(figure, [key(COLORS[r.name], r.label) for r in study.runs])
     figure.tight_layout(rect=(0, 0, 1, 0.97))
     return figure
 
@@ -202,7 +194,7 @@ def draw_objects(study: "BiasStudy") -> "Figure":
         axes.grid(axis="y", color="0.9")
     left.set_yticks(np.arange(len(names)), names, fontsize=9)
     left.set_ylim(len(names) - 0.5, -0.5)
-    _legend(figure, left.get_legend_handles_labels()[0])
+    legend_above(figure, left.get_legend_handles_labels()[0])
     figure.tight_layout(rect=(0, 0, 1, 1 - 45 / (170 + 34 * len(names))))
     return figure
 
@@ -222,7 +214,7 @@ def draw_flips(study: "BiasStudy") -> "Figure":
     axes.set_xticks(np.arange(len(names)), names)
     axes.set_ylim(0, None)
     axes.set_ylabel(f"labels that differ from {study.engines.first} (%)")
-    _legend(figure, axes.get_legend_handles_labels()[0])
+    legend_above(figure, axes.get_legend_handles_labels()[0])
     figure.tight_layout(rect=(0, 0, 1, 0.93))
     return figure
 
@@ -246,32 +238,15 @@ def draw_truth(study: "BiasStudy") -> "Figure":
     axes.set_ylim(len(cases) - 0.5, -0.5)
     axes.grid(axis="y", color="0.92")
     axes.set_xlabel("measured force / closed form (no dot: the object was not held)")
-    _legend(figure, axes.get_legend_handles_labels()[0])
+    legend_above(figure, axes.get_legend_handles_labels()[0])
     figure.tight_layout(rect=(0, 0, 1, 0.93))
     return figure
 
 
-def _grid(count: int, *, height: int) -> tuple["Figure", list["Axes"]]:
-    columns = 4
-    rows = -(-count // columns)
-    figure = new_figure(DrawConfig(width=1200, height=80 + height * rows))
-    panels: list[Axes] = list(figure.subplots(rows, columns, squeeze=False).ravel())
-    for axes in panels[count:]:
-        axes.set_axis_off()
-    for axes in panels:
+def _metric_panels(*, height: int) -> tuple["Figure", list["Axes"]]:
+    """A panel for each metric that is drawn."""
+    figure, grid = panels(len(DRAWN), height=height, margin=80)
+    for axes in grid:
         axes.tick_params(labelsize=8)
         axes.ticklabel_format(axis="both", style="sci", scilimits=(-3, 4))
-    return figure, panels
-
-
-def _label_grid(panels: list["Axes"], count: int, below: str, beside: str) -> None:
-    for k, axes in enumerate(panels[:count]):
-        if k % 4 == 0:
-            axes.set_ylabel(beside, fontsize=8)
-        if k + 4 >= count:
-            axes.set_xlabel(below, fontsize=8)
-
-
-def _legend(figure: "Figure", handles: Sequence["Artist"]) -> None:
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles), frameon=False,
-                  fontsize=10, labelcolor=INK)  # fmt: skip
+    return figure, grid

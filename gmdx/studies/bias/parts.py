@@ -14,7 +14,7 @@ from gmdx.dataset.store import OutputError, writing
 from gmdx.files.formats import json_text, read_json, write_text
 from gmdx.machine.processes import Crash, run_tasks
 from gmdx.studies.bias.replay import Replay, replay
-from gmdx.trials.engines.registry import ENGINES, choose
+from gmdx.trials.engines import ENGINES, choose
 
 STUDY_FILE, PARTS_FOLDER = "study.json", "parts"
 # Packages whose version can change a replay.

@@ -20,9 +20,9 @@ from gmdx.dataset.store import writing
 from gmdx.errors import DatasetError, GmdxError
 from gmdx.metrics.compute import MetricConfig, compute_metrics
 from gmdx.metrics.table import COMPARED
-from gmdx.objects.decompose.decomposition import Attempt, DecomposeConfig, decompose
+from gmdx.objects.decompose import Attempt, DecomposeConfig, decompose
 from gmdx.objects.model import ObjectModel
-from gmdx.objects.repair.read import as_trimesh
+from gmdx.objects.repair import as_trimesh
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene

@@ -1,39 +1,35 @@
 """`report.html` of a bias study: one file that opens offline, figures and all."""
 
-import base64
-import io
 from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gmdx.pictures.page import number, p_value, page, percent, picture, table
 from gmdx.studies.bias.compare import MetricAgreement
-from gmdx.studies.bias.figures import DRAWN, figures, shown, with_shown_unit
+from gmdx.studies.bias.figures import DRAWN, bias_figures, shown, with_shown_unit
 from gmdx.studies.bias.words import (
     CAPTIONS,
-    STYLE,
     difference_text,
     headline,
     interval,
-    number,
-    p_value,
-    percent,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from gmdx.studies.bias.result import BiasStudy
 
 
 def report_html(study: "BiasStudy") -> str:
     """The whole report."""
-    pictures = {name: _embedded(name, figure) for name, figure in figures(study).items()}
+    pictures = {
+        name: picture(name, figure, CAPTIONS.get(name.split("_")[0], ""))
+        for name, figure in bias_figures(study).items()
+    }
     disputed = [html for name, html in pictures.items() if name.startswith("disputed")]
-    title = f"{study.dataset.root.name}: {escape(study.engines.label)}"
+    title = f"{study.dataset.root.name}: {study.engines.label}"
     body = [
-        f"<h1>How much do the labels depend on the simulator?</h1><p>{title}</p>",
+        f"<h1>How much do the labels depend on the simulator?</h1><p>{escape(title)}</p>",
         *(f"<p>{line}</p>" for line in headline(study)),
         "<h2>What ran</h2>",
         _runs(study),
@@ -63,40 +59,7 @@ def report_html(study: "BiasStudy") -> str:
         body += ["<h2>Closed forms</h2>", _truth(study), pictures["truth"]]
     if study.failures:
         body += ["<h2>What could not be run</h2>", _failures(study)]
-    text = "\n".join(body)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{STYLE}</style></head><body>\n{text}\n</body></html>\n"
-    )
-
-
-def _embedded(name: str, figure: "Figure") -> str:
-    """A figure inside the page."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=figure.dpi, metadata={"Software": None})
-    data = base64.b64encode(file.getvalue()).decode("ascii")
-    caption = escape(CAPTIONS.get(name.split("_")[0], ""))
-    text = f"<figcaption>{caption}</figcaption>" if caption else ""
-    image = f'<img alt="{name}" src="data:image/png;base64,{data}">'
-    return f'<figure id="{name}">{image}{text}</figure>'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], *, words: int = 1) -> str:
-    """A table whose first `words` columns are text and the others numbers."""
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        kinds = ["w" if k < words else "n" for k in range(len(cells))]
-        items = (
-            f'<{tag} class="{kind}">{escape(cell)}</{tag}>'
-            for cell, kind in zip(cells, kinds, strict=True)
-        )
-        return f"<tr>{''.join(items)}</tr>"
-
-    inside = "\n".join(line(row, "td") for row in rows)
-    return (
-        f'<div class="wide"><table><thead>{line(head, "th")}</thead>'
-        f"<tbody>\n{inside}\n</tbody></table></div>"
-    )
+    return page(title, body)
 
 
 def _runs(study: "BiasStudy") -> str:
@@ -106,7 +69,7 @@ def _runs(study: "BiasStudy") -> str:
         for run in study.runs
     ]  # fmt: skip
     head = ["column suffix", "run", "engine", "grasps", "step (ms)", "trials a grasp"]
-    return _table(head, rows, words=3)
+    return table(head, rows, words=range(3))
 
 
 def _outcomes(study: "BiasStudy") -> str:
@@ -125,7 +88,7 @@ def _outcomes(study: "BiasStudy") -> str:
             "same success (%)", "kappa (success)", "Matthews (success)",
             "success difference (% points)", "nominal success only first / second",
             "McNemar p"]  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _columns(study: "BiasStudy", of: str) -> list[str]:
@@ -151,7 +114,7 @@ def _differences(study: "BiasStudy") -> str:
     head = ["metric", "pairs", "exists only in first / second", f"mean {study.engines.first}",
             f"mean {study.engines.second}", *_columns(study, "difference"),
             "engines' difference / largest of the floor's"]  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _limits(study: "BiasStudy") -> str:
@@ -169,7 +132,7 @@ def _limits(study: "BiasStudy") -> str:
     head = ["metric", *_columns(study, "limits of agreement"),
             f"2.5 to 97.5 percentile: {study.engines.second}",
             *_columns(study, "root mean square")]  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _ranks(study: "BiasStudy") -> str:
@@ -181,7 +144,7 @@ def _ranks(study: "BiasStudy") -> str:
     ]  # fmt: skip
     head = ["metric", *_columns(study, "Spearman"), *_columns(study, "Kendall"),
             *_columns(study, "KS distance")]  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _flips(study: "BiasStudy") -> str:
@@ -195,7 +158,7 @@ def _flips(study: "BiasStudy") -> str:
     ]  # fmt: skip
     head = ["label", "second - first", "grasps", "positive in first", "in second", "lost", "gained",
             "flipped (%)", "kappa", "McNemar p"]  # fmt: skip
-    return _table(head, rows, words=2)
+    return table(head, rows, words=range(2))
 
 
 def _objects(study: "BiasStudy") -> str:
@@ -212,7 +175,7 @@ def _objects(study: "BiasStudy") -> str:
     head = ["object", "grasps", f"success (%): {study.engines.first}",
             *_columns(study, "success (%)"), *_columns(study, "same outcome (%)"),
             *_columns(study, "kappa")]  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _object_details(study: "BiasStudy") -> Iterator[str]:
@@ -238,7 +201,7 @@ def _object_details(study: "BiasStudy") -> Iterator[str]:
                  number(_largest([x.ks for x in same]))]
             )  # fmt: skip
         summary = f"<summary>{escape(one.object_id)}: all metrics</summary>"
-        yield f"<details>{summary}{_table(head, rows)}</details>"
+        yield f"<details>{summary}{table(head, rows)}</details>"
 
 
 def _largest(values: Sequence[float]) -> float:
@@ -262,9 +225,9 @@ def _truth(study: "BiasStudy") -> str:
     ]  # fmt: skip
     head = ["quantity", "setting", "unit", "closed form", *engines,
             *(f"error of {engine}" for engine in engines)]  # fmt: skip
-    return _table(head, rows, words=3)
+    return table(head, rows, words=range(3))
 
 
 def _failures(study: "BiasStudy") -> str:
     rows = [[f.object_id, f.stage, f.error, f.message] for f in study.failures]
-    return _table(["object", "run", "error", "message"], rows, words=4)
+    return table(["object", "run", "error", "message"], rows, words=range(4))

@@ -15,7 +15,7 @@ from gmdx.errors import ConfigError
 from gmdx.scenes.gripper import Gripper
 from gmdx.studies.bias.compare import Comparison
 from gmdx.studies.bias.replay import Run, RunRows
-from gmdx.studies.engines.truth import TruthRow
+from gmdx.studies.engines import TruthRow
 
 if TYPE_CHECKING:
     pass

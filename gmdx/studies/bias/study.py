@@ -32,9 +32,9 @@ from gmdx.studies.bias.pairs import write_pairs
 from gmdx.studies.bias.parts import PARTS_FOLDER, ReplayProgress, begin, put, run_missing
 from gmdx.studies.bias.replay import Replay, Run, read_parts, runs_of
 from gmdx.studies.bias.result import BiasConfig, BiasStudy, Choice
-from gmdx.studies.engines.truth import TruthRow, truth_table
-from gmdx.trials.engines.registry import choose as choose_engine
-from gmdx.trials.engines.registry import open_engine
+from gmdx.studies.engines import TruthRow, truth_table
+from gmdx.trials.engines import choose as choose_engine
+from gmdx.trials.engines import open_engine
 from gmdx.trials.protocol import TrialConfig
 
 if TYPE_CHECKING:

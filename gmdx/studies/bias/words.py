@@ -1,4 +1,4 @@
-"""Words, numbers and style of a bias study's report."""
+"""The words of a bias study: captions, its summary in a table and in a few sentences."""
 
 from collections.abc import Iterator
 from html import escape
@@ -6,26 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gmdx.pictures.page import number, p_value, percent
 from gmdx.statistics.clustered import Interval
 
 if TYPE_CHECKING:
     from gmdx.studies.bias.result import BiasStudy
-
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1240px;
-  margin: 2em auto; padding: 0 1.2em }
-h1 { font-size: 1.6em } h2 { font-size: 1.25em; margin-top: 2.2em }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; font-size: 0.83em; margin: 0.8em 0 }
-th, td { padding: 0.25em 0.7em; border-bottom: 1px solid #e2e2e2; vertical-align: bottom }
-th { border-bottom: 1.5px solid #888; font-weight: 600; max-width: 11em }
-.w { text-align: left } .n { text-align: right; font-variant-numeric: tabular-nums }
-td { white-space: nowrap }
-tbody tr:nth-child(even) { background: #f7f7f7 }
-figure { margin: 1.2em 0 } img { max-width: 100% }
-figcaption { font-size: 0.88em; color: #555; max-width: 60em }
-details { margin: 0.4em 0 } summary { cursor: pointer }
-"""
 
 CAPTIONS = {
     "outcomes": "Rows: the dataset's engine; columns: the other run. What is off the diagonal "
@@ -39,27 +24,6 @@ CAPTIONS = {
     "flips": "A label is positive where at least that share of a grasp's trials succeeds.",
     "truth": "Coulomb friction between rigid bodies; an engine's own deviation, not tuned away.",
 }
-
-
-def number(value: float) -> str:
-    """Three significant digits; "-" for what does not exist."""
-    if not np.isfinite(value):
-        return "-"
-    if value != 0 and abs(value) < 5e-4:
-        return f"{value:.1e}"
-    return "0" if value == 0 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def percent(share: float) -> str:
-    """A share in per cent, one decimal."""
-    return f"{100 * share:.1f}" if np.isfinite(share) else "-"
-
-
-def p_value(value: float) -> str:
-    """A p value; no more than says something."""
-    if not np.isfinite(value):
-        return "-"
-    return "< 0.0001" if value < 1e-4 else f"{value:.4f}"
 
 
 def interval(found: Interval, scale: float) -> str:

@@ -57,7 +57,7 @@ def compilations(engine: str) -> Compilations | None:
     """What has been compiled for an engine in this process so far; None where nothing is."""
     if engine != "warp":
         return None
-    from gmdx.trials.engines.warp.log import kernel_counts
+    from gmdx.trials.engines.warp import kernel_counts
 
     counts = kernel_counts()
     return Compilations(counts.compiled, counts.loaded)

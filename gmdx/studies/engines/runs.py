@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from gmdx.errors import GmdxError, UsageError
 from gmdx.machine.processes import Crash, run_tasks
-from gmdx.trials.engines.registry import ENGINES, choose, open_engine
+from gmdx.trials.engines import ENGINES, choose, open_engine
 
 _LOG = logging.getLogger("gmdx")
 

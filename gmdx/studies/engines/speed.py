@@ -25,8 +25,7 @@ from gmdx.studies.engines.runs import (
     refuse_less_than_one,
     run_apart,
 )
-from gmdx.trials.engines.engine import Engine
-from gmdx.trials.engines.registry import DEFAULT_ENGINE, ENGINES, open_engine
+from gmdx.trials.engines import DEFAULT_ENGINE, ENGINES, Engine, open_engine
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults

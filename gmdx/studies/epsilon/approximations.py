@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from gmdx.arrays import Array, Float
 from gmdx.errors import MetricError
-from gmdx.metrics.epsilon.wrench import WrenchCones, check_contacts, support, wrench_cones
+from gmdx.metrics.epsilon import WrenchCones, check_contacts, support, wrench_cones
 from gmdx.rng import generator
 
 

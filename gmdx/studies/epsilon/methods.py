@@ -12,7 +12,7 @@ from gmdx_kernels.epsilon import IMPLEMENTATIONS, PairEpsilon, pair_epsilon
 
 from gmdx.arrays import Array, Float
 from gmdx.errors import ConfigError
-from gmdx.metrics.epsilon.certified import Epsilon, epsilon
+from gmdx.metrics.epsilon import Epsilon, epsilon
 from gmdx.studies.epsilon.approximations import (
     linearised_epsilon,
     random_direction_bound,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gmdx.arrays import Array, Float
+from gmdx.pictures.charts import COLUMNS, panels, whiskers
 from gmdx.pictures.figure import INK, DrawConfig, new_figure
 from gmdx.studies.sensitivity.indices import Indices
 from gmdx.studies.sensitivity.parameters import SEED, Parameter
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RAISES, LOWERS, SHARE, FLOOR = "tab:red", "tab:blue", "tab:purple", "0.88"
-_COLUMNS = 4  # of the panels of curves
 _TITLES = {
     "morris": "mean absolute effect of a parameter's whole range (mu*), 95 % interval",
     "sobol": "share of the variance: total (bar) and alone (diamond), 95 % intervals",
@@ -47,10 +47,10 @@ def draw_tornado(method: str, output: Output, indices: Indices) -> "Figure":
     signs = [RAISES if m > 0 else LOWERS for m in main]
     colors = [SHARE] * count if method == "sobol" else signs
     axes.barh(at, np.nan_to_num(total), color=colors, alpha=0.75, height=0.65)
-    _whiskers(axes, total, half, at, least=0.0)
+    whiskers(axes, total, half, at, least=0.0)
     if method == "sobol":
         axes.plot(main, at, "D", color=INK, markersize=5)
-        _whiskers(axes, main, indices.main_half[order], at - 0.2)
+        whiskers(axes, main, indices.main_half[order], at - 0.2)
     noise = indices.names.index(SEED) if SEED in indices.names else None
     if noise is not None and known[noise]:
         reach = indices.total[noise] + np.nan_to_num(indices.total_half[noise])
@@ -82,13 +82,10 @@ def draw_curves(output: Output, parameters: Sequence[Parameter], runs: "pd.DataF
         parameters: Of the study.
         runs: Its runs.
     """
-    rows = -(-len(parameters) // _COLUMNS)
-    figure = new_figure(DrawConfig(width=1200, height=60 + 250 * rows))
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharey=True)
+    figure, grid = panels(len(parameters), height=250, margin=60, share_y=True)
     names = [parameter.name for parameter in parameters]
     floor = mean_curve(runs, names.index(SEED), SEED, output.name)[1]
-    for k, parameter in enumerate(parameters):
-        axes = panels[k // _COLUMNS, k % _COLUMNS]
+    for k, (axes, parameter) in enumerate(zip(grid, parameters, strict=True)):
         if np.isfinite(floor).any():
             axes.axhspan(np.nanmin(floor), np.nanmax(floor), color=FLOOR, zorder=0)
         for _, own in runs[runs.block == k].groupby("object_id"):
@@ -106,11 +103,9 @@ def draw_curves(output: Output, parameters: Sequence[Parameter], runs: "pd.DataF
         unit = f" ({parameter.unit})" if parameter.unit else ""
         axes.set_xlabel(f"{parameter.name}{unit}", fontsize=9)
         axes.tick_params(labelsize=7)
-        if k % _COLUMNS == 0:
+        if k % COLUMNS == 0:
             unit = f" ({output.unit})" if output.unit else ""
             axes.set_ylabel(f"{output.name}{unit}", fontsize=9)
-    for axes in panels.flat[len(parameters) :]:
-        axes.set_axis_off()
     figure.tight_layout()
     return figure
 
@@ -150,21 +145,6 @@ def figures(
             f"curves_{output.name}": draw_curves(output, parameters, runs) for output in OUTPUTS
         }
     return found
-
-
-def _whiskers(
-    axes: "Axes",
-    at: Float[Array, "d"],
-    half: Float[Array, "d"],
-    rows: Float[Array, "d"],
-    *,
-    least: float = -np.inf,
-) -> None:
-    """Intervals, down to the least value that there can be."""
-    known = np.isfinite(at) & np.isfinite(half)
-    at, half = at[known], half[known]
-    reach = np.stack([np.clip(half, 0.0, np.maximum(at - least, 0.0)), half])
-    axes.errorbar(at, rows[known], xerr=reach, fmt="none", color=INK, capsize=3, linewidth=1)
 
 
 def _ticks(axes: "Axes", parameter: Parameter, default: float) -> None:

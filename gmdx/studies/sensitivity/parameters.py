@@ -14,7 +14,7 @@ import numpy as np
 from gmdx.arrays import Array, Float
 from gmdx.errors import UsageError
 from gmdx.grasps.grasp import PlanarGrasp
-from gmdx.objects.decompose.decomposition import DecomposeConfig
+from gmdx.objects.decompose import DecomposeConfig
 from gmdx.objects.model import ObjectModel
 from gmdx.rng import generator
 from gmdx.scenes.gripper import Gripper

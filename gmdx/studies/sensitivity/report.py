@@ -1,25 +1,17 @@
 """A sensitivity study as one HTML file that opens without a network."""
 
-import base64
-import io
 from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gmdx.pictures import page
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-_STYLE = """
-body { font: 15px/1.45 sans-serif; max-width: 62em; margin: 2em auto; padding: 0 1em; color: #222 }
-table { border-collapse: collapse; margin: 1em 0; font-size: 13px }
-td, th { border-bottom: 1px solid #ddd; padding: .2em .7em; text-align: right }
-td:first-child, th:first-child, td.text, th.text { text-align: left }
-tr.noise { color: #999 }
-img { max-width: 100% }
-"""
 _HOW = {
     "morris": (
         "Morris' method: each block is a trajectory on which one parameter after the other "
@@ -54,25 +46,25 @@ def report(result: Mapping[str, Any], figures: Mapping[str, "Figure"]) -> str:
         result: What `sensitivity.json` holds.
         figures: By name, as the study drew them.
     """
-    sections = "".join(_section(result, output, figures) for output in result["outputs"].values())
+    counts = result["counts"]
     failures = "".join(
         f"<li>{escape(name)}: {escape(why)}</li>" for name, why in result["failures"].items()
     )
-    left_out = f"<p>Objects left out:</p><ul>{failures}</ul>" if failures else ""
-    counts = result["counts"]
-    return (
-        "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
-        f"<title>gmdx sensitivity</title><style>{_STYLE}</style></head><body>"
-        "<h1>What the labels depend on</h1>"
+    body = [
+        "<h1>What the labels depend on</h1>",
         f"<p>{escape(', '.join(result['objects']))}: {result['runs_per_object']} runs of each, "
         f"{counts['trials']:,} trials in all, {counts['diverged']:,} of which diverged. The "
         "scenes and grasps are the same in all runs, settled and sampled at the defaults; only "
-        "the trials change.</p>"
-        f"<p>{_HOW[result['method']]}</p>"
+        "the trials change.</p>",
+        f"<p>{_HOW[result['method']]}</p>",
         "<p>The parameter <b>seed</b> redraws the pose noise and moves grasps by 10 micrometres: "
-        "what it does is chance. Rows in grey are not clearly above it.</p>"
-        f"{left_out}{sections}<h2>Parameters</h2>{_parameters(result)}</body></html>\n"
-    )
+        "what it does is chance. Rows in grey are not clearly above it.</p>",
+        *([f"<p>Objects left out:</p><ul>{failures}</ul>"] if failures else []),
+        *(_section(result, output, figures) for output in result["outputs"].values()),
+        "<h2>Parameters</h2>",
+        _parameters(result),
+    ]
+    return page.page("gmdx sensitivity", body)
 
 
 def table(result: Mapping[str, Any]) -> "Table":
@@ -131,56 +123,42 @@ def _section(
             f"{result['counts']['lower_bounds']:,} of {result['counts']['held']:,} forces are "
             "lower bounds: the push ended first."
         )
-    baseline = ", ".join(f"{escape(k)} {_number(v)}" for k, v in output["baseline"].items())
+    baseline = ", ".join(f"{escape(k)} {page.number(v)}" for k, v in output["baseline"].items())
     pictures = "".join(
-        f"<p>{_image(figure)}</p>" for key, figure in figures.items() if key.endswith(f"_{name}")
+        page.picture(key, figure) for key, figure in figures.items() if key.endswith(f"_{name}")
     )
     return (
         f"<h2>{escape(name)}</h2><p>{escape(output['definition'])}{unit}. At the defaults: "
-        f"{baseline}. {' '.join(notes)}</p>{pictures}{_table(result['method'], found)}"
+        f"{baseline}. {' '.join(notes)}</p>{pictures}{_indices(result['method'], found)}"
     )
 
 
-def _table(method: str, found: Mapping[str, Any]) -> str:
-    total, main = _NAMES[method]
-    lines = []
-    for name, values in _ranked(found):
-        shade = "" if values["above_noise"] else " class='noise'"
-        spread = f"<td>{_number(values['spread'])}</td>" if method == "morris" else ""
-        lines.append(
-            f"<tr{shade}><td>{escape(name)}</td>"
-            f"<td>{_interval(values['total'], values['total_half'])}</td>"
-            f"<td>{_interval(values['main'], values['main_half'])}</td>{spread}</tr>"
-        )
-    spread = "<th>sigma</th>" if method == "morris" else ""
-    return (
-        f"<table><tr><th>parameter</th><th>{total}</th><th>{main}</th>{spread}</tr>"
-        f"{''.join(lines)}</table>"
-    )
+def _indices(method: str, found: Mapping[str, Any]) -> str:
+    ranked = _ranked(found)
+    with_spread = method == "morris"
+    rows = [
+        [
+            name,
+            _interval(values["total"], values["total_half"]),
+            _interval(values["main"], values["main_half"]),
+            *([page.number(values["spread"])] if with_spread else []),
+        ]
+        for name, values in ranked
+    ]
+    head = ["parameter", *_NAMES[method], *(["sigma"] if with_spread else [])]
+    noise = [k for k, (_, values) in enumerate(ranked) if not values["above_noise"]]
+    return page.table(head, rows, faint=noise)
 
 
 def _parameters(result: Mapping[str, Any]) -> str:
-    lines = "".join(
-        f"<tr><td>{escape(p['name'])}</td><td>{escape(p['unit'])}</td><td>{_number(p['low'])}</td>"
-        f"<td>{_number(p['default'])}</td><td>{_number(p['high'])}</td>"
-        f"<td>{escape(p['scale'])}</td><td class='text'>{escape(p['reason'])}</td></tr>"
+    rows = [
+        [p["name"], p["unit"], *(page.number(p[key]) for key in ("low", "default", "high")),
+         p["scale"], p["reason"]]
         for p in result["parameters"]
-    )
-    return (
-        "<table><tr><th>parameter</th><th>unit</th><th>from</th><th>default</th><th>to</th>"
-        f"<th>scale</th><th class='text'>reason for the range</th></tr>{lines}</table>"
-    )
+    ]  # fmt: skip
+    head = ["parameter", "unit", "from", "default", "to", "scale", "reason for the range"]
+    return page.table(head, rows, words=(0, 1, 5, 6))
 
 
 def _interval(value: float, half: float) -> str:
-    return _number(value) + (f" ± {_number(half)}" if np.isfinite(half) else "")
-
-
-def _number(value: float) -> str:
-    return "-" if not np.isfinite(value) else f"{value:.3g}"
-
-
-def _image(figure: "Figure") -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=figure.dpi)
-    return f"<img src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
+    return page.number(value) + (f" ± {page.number(half)}" if np.isfinite(half) else "")

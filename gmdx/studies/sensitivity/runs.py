@@ -10,7 +10,7 @@ from gmdx.errors import GmdxError
 from gmdx.grasps.sample import sample_grasps
 from gmdx.metrics.formulas import motion_metrics, outcome_metrics
 from gmdx.objects.prepare import CacheOption, PrepareConfig, prepare
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.sources import ObjectSource
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.settle import settle
 from gmdx.studies.sensitivity.indices import Design

@@ -20,8 +20,7 @@ from gmdx.errors import GmdxError, SceneError, UsageError
 from gmdx.files.formats import json_text, write_text
 from gmdx.machine.processes import Crash, run_tasks
 from gmdx.objects.prepare import CacheOption, content_hash
-from gmdx.objects.sources.resolve import resolve
-from gmdx.objects.sources.source import ObjectSource
+from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pictures.figure import save_figure
 from gmdx.scenes.gripper import DEFAULT_GRIPPER, Gripper, gripper_record, load_gripper
 from gmdx.studies.sensitivity.figures import figures

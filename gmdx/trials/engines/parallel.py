@@ -29,7 +29,7 @@ from gmdx.trials.stepper import ModelLayout
 
 _LOG = logging.getLogger("gmdx")
 
-OBJECTS = 64  # different objects side by side at most
+MOST_OBJECTS = 64  # different objects side by side at most
 _CAPACITIES = (16, 64, 256, 1024, 4096, 16384)  # few, as each may cost a compilation
 _CPU_CAPACITY = 256  # trials side by side where memory says nothing: more are not faster on a CPU
 
@@ -68,7 +68,7 @@ class Worlds(Protocol):
 
 @runtime_checkable
 class Implementation(Protocol):
-    """What computes: the module of an implementation offers these functions."""
+    """What computes: the door of an implementation's folder offers these functions."""
 
     def bucket(self, model: GraspModel) -> Hashable:
         """Objects of one bucket can be side by side."""
@@ -84,7 +84,7 @@ class Implementation(Protocol):
         """Trials side by side that the device's free memory has room for; None if unknown."""
         ...
 
-    def device(self) -> str:
+    def version(self) -> str:
         """Versions and the device, as records name them."""
         ...
 
@@ -103,7 +103,7 @@ class ParallelEngine:
 
         Args:
             name: The engine's, for records.
-            implementation: The module that computes.
+            implementation: The folder that computes, as `engines.warp`.
             parallel_trials: Trials side by side; None lets the device's memory decide.
         """
         self.name, self.implementation = name, implementation
@@ -113,7 +113,7 @@ class ParallelEngine:
     @property
     def version(self) -> str:
         """Name, versions and device."""
-        return f"{self.name} ({self.implementation.device()})"
+        return f"{self.name} ({self.implementation.version()})"
 
     @property
     def wanted_trials(self) -> int:
@@ -166,7 +166,7 @@ class ParallelEngine:
                 model = grasp_model(batch.object, batch.gripper, batch.physics)
                 bucket = self.implementation.bucket(model)
                 group = open_groups.get(bucket)
-                if group is None or len(group.models) == OBJECTS:
+                if group is None or len(group.models) == MOST_OBJECTS:
                     group = open_groups[bucket] = _Group([], [], [])
                     groups.append(group)
                 home[id(batch.object)] = group, len(group.models)

@@ -84,15 +84,15 @@ def _mujoco(options: EngineOptions) -> Engine:
 
 
 def _warp(options: EngineOptions) -> Engine:
+    from gmdx.trials.engines import warp
     from gmdx.trials.engines.parallel import ParallelEngine
-    from gmdx.trials.engines.warp import worlds
 
-    return ParallelEngine("warp", worlds, parallel_trials=options.parallel_trials)
+    return ParallelEngine("warp", warp, parallel_trials=options.parallel_trials)
 
 
 def _bullet(_: EngineOptions) -> Engine:
     with _without_banner():
-        from gmdx.trials.engines.bullet.engine import BulletEngine
+        from gmdx.trials.engines.bullet import BulletEngine
 
     return BulletEngine()
 

@@ -19,7 +19,7 @@ from gmdx.metrics.table import COMPARED
 from gmdx.objects.decompose.decomposition import DecomposeConfig
 from gmdx.pipeline.generate import generate
 from gmdx.scenes.gripper import load_gripper
-from gmdx.studies.bias.figures import figures
+from gmdx.studies.bias.figures import bias_figures
 from gmdx.studies.bias.replay import other_hulls, runs_of
 from gmdx.studies.bias.result import BiasConfig, BiasStudy
 from gmdx.studies.bias.study import bias_study, choose
@@ -170,10 +170,10 @@ def test_report_is_one_page_that_loads_nothing(floor: BiasStudy) -> None:
         assert len(rows) > 1
     assert all(address.startswith("data:image/png;base64,") for address in page.loads)
     assert not re.search(r"https?:|url\(|@import|<script|<link", text)
-    drawn = figures(floor)
+    drawn = bias_figures(floor)
     assert len(page.loads) == len(drawn)
     assert {"outcomes", "differences", "bland_altman", "truth"} <= set(drawn)
-    for name in figures:
+    for name in drawn:
         assert f'<figure id="{name}">' in text
     for comparison in floor.comparisons:
         assert comparison.label in text

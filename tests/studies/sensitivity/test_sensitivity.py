@@ -124,7 +124,7 @@ def test_files_say_the_same_as_the_record(morris: SensitivityStudy) -> None:
 def test_report_opens_without_a_network_and_shows_everything(curves: SensitivityStudy) -> None:
     text = (curves.root / "report.html").read_text()
     assert not re.search(r"(src|href)=['\"](?!data:)", text)
-    assert text.count("<img src='data:image/png;base64,") == 2 * len(OUTPUTS)
+    assert text.count('src="data:image/png;base64,') == 2 * len(OUTPUTS)
     for name in COLUMNS:
         assert escape(PARAMETERS[name].reason) in text
 

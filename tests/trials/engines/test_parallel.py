@@ -103,7 +103,7 @@ class _Small:
     def __init__(self, room: int, *, at_launch: bool) -> None:
         self.room, self.at_launch = room, at_launch
         self.opened: list[int] = []
-        self.bucket, self.device = warp_worlds.bucket, warp_worlds.device
+        self.bucket, self.version = warp_worlds.bucket, warp_worlds.version
 
     def suggested_capacity(self, models: Sequence[GraspModel]) -> int | None:
         return 16

@@ -10,7 +10,7 @@ pytest.importorskip("warp", reason="the extra gmdx[warp] is not installed")
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
 from gmdx.objects.prepare import prepare
-from gmdx.objects.sources.resolve import resolve
+from gmdx.objects.sources import resolve
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.scenes.settle import settle

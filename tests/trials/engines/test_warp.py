@@ -22,7 +22,7 @@ from gmdx.grasps.sample import sample_grasps
 from gmdx.machine.devices import cuda_devices
 from gmdx.objects.model import ObjectModel
 from gmdx.objects.prepare import prepare
-from gmdx.objects.sources.resolve import resolve
+from gmdx.objects.sources import resolve
 from gmdx.scenes.build import grasp_model
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.layout import GraspModel
@@ -36,7 +36,7 @@ from gmdx.trials.engines.warp.device import device_memory
 from gmdx.trials.engines.warp.edges import EdgeContacts
 from gmdx.trials.engines.warp.library import SLOTS, build_library, slots_for
 from gmdx.trials.engines.warp.log import kernel_counts
-from gmdx.trials.engines.warp.worlds import CONTACT_LIMIT, WarpWorlds, bytes_per_trial, device
+from gmdx.trials.engines.warp.worlds import CONTACT_LIMIT, WarpWorlds, bytes_per_trial, version
 from gmdx.trials.execute import Execution
 from gmdx.trials.observations import ChunkResult
 from gmdx.trials.placement import place
@@ -512,7 +512,7 @@ def test_memory_grows_with_the_contact_limit_and_the_device_has_a_name(
 ) -> None:
     assert 5e4 < bytes_per_trial(models) < 2e6
     assert CONTACT_LIMIT >= 100
-    assert f"warp {wp.__version__} on " in device()
+    assert f"warp {wp.__version__} on " in version()
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.8])

@@ -102,7 +102,7 @@ def open_worlds(
     return WarpWorlds(models, capacity=capacity, physics=physics)
 
 
-def device() -> str:
+def version() -> str:
     """Warp's version and its devices, as records name them."""
     found = _devices()
     names = [one.name if one.is_cuda else "cpu" for one in found]

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from gmdx.errors import CatalogError
+from gmdx.objects.sources import resolve
 from gmdx.objects.sources.bundled import bundled_names
-from gmdx.objects.sources.resolve import resolve
 
 
 def write_box(path: Path, size: float = 1.0, suffix: str = ".stl") -> Path:
