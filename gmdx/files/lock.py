@@ -33,7 +33,8 @@ class FileLock:
         """
         self._path = path
         while True:
-            path.parent.mkdir(exist_ok=True)
+            with contextlib.suppress(FileExistsError):
+                path.parent.mkdir()
             try:
                 # For writing, as network file systems ask of who locks a file for himself.
                 self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
