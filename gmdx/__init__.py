@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gmdx.dataset.read import Dataset, SceneView, read_dataset
-    from gmdx.dataset.schema import Failure
-    from gmdx.errors import GmdxError
+    from gmdx.errors import Failure, GmdxError
     from gmdx.grasps.grasp import PadContacts, PlanarGrasp
     from gmdx.grasps.sample import SampleConfig, sample_grasps
+    from gmdx.machine.progress import Progress
     from gmdx.metrics.compute import MetricConfig, MetricTable, compute_metrics
     from gmdx.metrics.epsilon import (
         Epsilon,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gmdx.metrics.table import METRIC_NAMES, METRICS, Metric
     from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
     from gmdx.objects.prepare import PrepareConfig, load_object
-    from gmdx.pipeline.generate import GenerateConfig, Progress, Summary, generate
+    from gmdx.pipeline.generate import GenerateConfig, Summary, generate
     from gmdx.scenes.camera import CameraConfig, DepthImage, render
     from gmdx.scenes.gripper import Gripper, load_gripper
     from gmdx.scenes.scene import Scene
@@ -89,10 +89,10 @@ __all__ = [
 
 _MODULES = {
     "gmdx.dataset.read": ("Dataset", "SceneView", "read_dataset"),
-    "gmdx.dataset.schema": ("Failure",),
-    "gmdx.errors": ("GmdxError",),
+    "gmdx.errors": ("Failure", "GmdxError"),
     "gmdx.grasps.grasp": ("PadContacts", "PlanarGrasp"),
     "gmdx.grasps.sample": ("SampleConfig", "sample_grasps"),
+    "gmdx.machine.progress": ("Progress",),
     "gmdx.metrics.compute": ("MetricConfig", "MetricTable", "compute_metrics"),
     "gmdx.metrics.quality": ("Evidence", "QualityConfig", "Tally"),
     "gmdx.metrics.epsilon": (
@@ -102,7 +102,7 @@ _MODULES = {
     "gmdx.metrics.table": ("METRICS", "METRIC_NAMES", "Metric"),
     "gmdx.objects.model": ("ObjectModel", "OrientedBox", "StablePoses"),
     "gmdx.objects.prepare": ("PrepareConfig", "load_object"),
-    "gmdx.pipeline.generate": ("GenerateConfig", "Progress", "Summary", "generate"),
+    "gmdx.pipeline.generate": ("GenerateConfig", "Summary", "generate"),
     "gmdx.scenes.camera": ("CameraConfig", "DepthImage", "render"),
     "gmdx.scenes.gripper": ("Gripper", "load_gripper"),
     "gmdx.scenes.scene": ("Scene",),

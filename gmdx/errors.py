@@ -1,5 +1,7 @@
 """The errors that gmdx raises: each says what was wrong, where, and what to do."""
 
+from dataclasses import dataclass
+
 
 class GmdxError(Exception):
     """Base of every error that gmdx raises on purpose."""
@@ -47,3 +49,24 @@ class MetricError(GmdxError):
 
 class DatasetError(GmdxError):
     """A dataset on disk could not be written, continued or read."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An object or a scene that was not produced, and why."""
+
+    object_id: str
+    scene_id: int | None  # None: the whole object
+    stage: str  # of the pipeline: prepare, settle, sample, trials, metrics, render, write, worker
+    error: str  # class of the error
+    message: str
+
+    @property
+    def key(self) -> tuple[str, int, str, str]:
+        """Order in `failures.jsonl`: by object, the object's own line first."""
+        scene = -1 if self.scene_id is None else self.scene_id
+        return (self.object_id, scene, self.stage, self.message)
+
+    def __str__(self) -> str:
+        scene = "" if self.scene_id is None else f", scene {self.scene_id}"
+        return f"{self.object_id}{scene}: {self.stage} failed: {self.message}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gmdx.dataset.store import PARTIAL
+from gmdx.files.folder import PARTIAL
 from gmdx.pipeline.generate import generate
 from tests.runs import (
     FLAGS,

@@ -20,9 +20,8 @@ from gmdx.cli.bench_trials import (
     say_failures,
     say_machine,
     short,
-    showing_runs,
 )
-from gmdx.cli.terminal import console, interrupts_kept, say
+from gmdx.cli.terminal import console, following, interrupts_kept, say
 from gmdx.errors import UsageError
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ class Parity:
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
         refuse_idle_sizes(choose_all(engines), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
-        with showing_runs() as show:
+        with following("trials", things="engines") as show:
             figures = parity_figures(
                 scenes,
                 engines=engines,

@@ -1,11 +1,9 @@
 """The command `gmdx bench trials`: the speed of engines on the same trials."""
 
-import contextlib
 import dataclasses
 import json
 import math
 import textwrap
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.box import SIMPLE_HEAVY
@@ -17,7 +15,7 @@ from gmdx.cli.terminal import console, following, interrupts_kept, say
 
 if TYPE_CHECKING:
     from gmdx.scenes.scene import Scene
-    from gmdx.studies.engines import Machine, RunFailure, RunProgress, TrialFigures, TrialSpeed
+    from gmdx.studies.engines import Machine, RunFailure, TrialFigures, TrialSpeed
 
 DONE, ENGINE_FAILED = 0, 1
 
@@ -80,7 +78,7 @@ class Trials:
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
         refuse_idle_sizes(choose_all(engines), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
-        with showing_runs() as show:
+        with following("trials", things="engines") as show:
             speed = trial_figures(
                 scenes,
                 grasps=self.grasps,
@@ -107,27 +105,19 @@ def names(text: str) -> list[str]:
 
 def prepared_scenes(objects: tuple[str, ...]) -> list["Scene"]:
     """One scene of each object; what was prepared before comes from the user's cache."""
+    from gmdx.machine.progress import Follower
     from gmdx.objects.prepare import prepare
     from gmdx.objects.sources import resolve
-    from gmdx.pipeline.generate import Progress
     from gmdx.scenes.settle import settle
 
     sources = resolve(list(objects))
     scenes = []
     with following("objects") as show:
+        follower = Follower(len(sources), show)
         for source in sources:
             scenes.append(settle(prepare(source)))
-            show(Progress(source.object_id, len(scenes), len(sources), len(scenes), ()))
+            follower.finished(source.object_id, count=1)
     return scenes
-
-
-@contextlib.contextmanager
-def showing_runs() -> Iterator[Callable[["RunProgress"], None]]:
-    """Progress of runs, on standard error."""
-    from gmdx.pipeline.generate import Progress
-
-    with following("trials", things="engines") as show:
-        yield lambda at: show(Progress(at.label, at.done, at.total, at.trials, ()))
 
 
 def _with_rates(row: "TrialFigures") -> dict[str, Any]:

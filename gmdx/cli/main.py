@@ -297,15 +297,8 @@ class Bias:
     def run(self) -> int:
         """Run the study, and show how far the engines agree."""
         with interrupts_kept():
-            from gmdx.pipeline.generate import Progress
             from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.bias import (
-                BiasConfig,
-                ReplayProgress,
-                bias_study,
-                summary,
-                summary_head,
-            )
+            from gmdx.studies.bias import BiasConfig, bias_study, summary, summary_head
 
         config = BiasConfig(
             objects=self.objects,
@@ -317,11 +310,7 @@ class Bias:
         )
         gripper = None if self.gripper is None else load_gripper(self.gripper)
         with following("grasps", things="replays") as show:
-
-            def tell(at: ReplayProgress) -> None:
-                show(Progress(at.object_id, at.done, at.total, at.grasps, at.failures))
-
-            study = bias_study(self.dataset, self.out, config, gripper=gripper, on_progress=tell)
+            study = bias_study(self.dataset, self.out, config, gripper=gripper, on_progress=show)
         table = Table(*summary_head(study), title=f"{study.engines.grasps} grasps in both engines")
         for row in summary(study):
             table.add_row(*row)
@@ -370,10 +359,8 @@ class Sensitivity:
     def run(self) -> int:
         """Run the study, and show what matters most."""
         with interrupts_kept():
-            from gmdx.pipeline.generate import Progress
             from gmdx.studies.sensitivity import (
                 SensitivityConfig,
-                StudyProgress,
                 sensitivity_study,
                 summary,
                 table,
@@ -393,11 +380,7 @@ class Sensitivity:
             **given,
         )
         with following("trials", things="runs") as show:
-
-            def tell(at: StudyProgress) -> None:
-                show(Progress(at.object_id, at.done, at.total, at.trials, ()))
-
-            study = sensitivity_study(self.objects, self.out, config, on_progress=tell)
+            study = sensitivity_study(self.objects, self.out, config, on_progress=show)
         console().print(table(summary(study)))
         say(f"{study.root}: runs.parquet, sensitivity.json, figures/ and report.html")
         return DONE

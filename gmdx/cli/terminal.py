@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -22,8 +22,7 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 
 if TYPE_CHECKING:
-    from gmdx.dataset.schema import Failure
-    from gmdx.pipeline.generate import Progress
+    from gmdx.machine.progress import OnProgress, Progress
 
 _logger = logging.getLogger("gmdx")
 
@@ -72,7 +71,7 @@ def interrupts_kept() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def following(noun: str, *, things: str = "objects") -> Iterator[Callable[["Progress"], None]]:
+def following(noun: str, *, things: str = "objects") -> Iterator["OnProgress"]:
     """A function that shows how a run goes on, object by object.
 
     Args:
@@ -88,7 +87,7 @@ def following(noun: str, *, things: str = "objects") -> Iterator[Callable[["Prog
 
 
 @contextlib.contextmanager
-def _bar(noun: str, things: str) -> Iterator[Callable[["Progress"], None]]:
+def _bar(noun: str, things: str) -> Iterator["OnProgress"]:
     """A progress bar on standard error, with rate and remaining time."""
     screen = Console(stderr=True)
     columns = (
@@ -106,18 +105,18 @@ def _bar(noun: str, things: str) -> Iterator[Callable[["Progress"], None]]:
         task = bar.add_task("working", total=None, rate=f"0.0 {noun}/s")
 
         def show(progress: "Progress") -> None:
-            rate = progress.grasps / (time.perf_counter() - start)
+            rate = progress.count / (time.perf_counter() - start)
             bar.update(
                 task, total=progress.total, completed=progress.done, rate=f"{rate:.1f} {noun}/s"
             )
             for failure in progress.failures:
-                _logger.warning("%s", failure_line(failure))
+                _logger.warning("%s", failure)
 
         yield show
 
 
 @contextlib.contextmanager
-def _lines(noun: str, things: str) -> Iterator[Callable[["Progress"], None]]:
+def _lines(noun: str, things: str) -> Iterator["OnProgress"]:
     """A line per object on standard error."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%H:%M:%S"))
@@ -125,7 +124,7 @@ def _lines(noun: str, things: str) -> Iterator[Callable[["Progress"], None]]:
 
     def show(progress: "Progress") -> None:
         for failure in progress.failures:
-            _logger.warning("%s", failure_line(failure))
+            _logger.warning("%s", failure)
         if progress.done == 0:
             _logger.info("%d %s to do", progress.total, things)
             return
@@ -135,20 +134,14 @@ def _lines(noun: str, things: str) -> Iterator[Callable[["Progress"], None]]:
             "[%d/%d] %s; %.1f %s/s, %.0f s left",
             progress.done,
             progress.total,
-            progress.object_id,
-            progress.grasps / seconds,
+            progress.name,
+            progress.count / seconds,
             noun,
             left,
         )
 
     with _logging_to(handler):
         yield show
-
-
-def failure_line(failure: "Failure") -> str:
-    """A failure in one line."""
-    scene = "" if failure.scene_id is None else f", scene {failure.scene_id}"
-    return f"{failure.object_id}{scene}: {failure.stage} failed: {failure.message}"
 
 
 @contextlib.contextmanager

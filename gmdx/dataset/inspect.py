@@ -13,7 +13,8 @@ from rich.table import Table
 
 from gmdx.arrays import Array, Float
 from gmdx.dataset.read import Dataset
-from gmdx.dataset.schema import OUTCOMES, Failure
+from gmdx.dataset.schema import OUTCOMES
+from gmdx.errors import Failure
 from gmdx.metrics.quality import Evidence, Tally
 from gmdx.metrics.table import METRIC_NAMES
 from gmdx.trials.outcome import Outcome

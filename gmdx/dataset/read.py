@@ -11,9 +11,8 @@ import pyarrow.parquet as pq
 
 from gmdx.config import merge
 from gmdx.dataset import schema
-from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import read_failures
-from gmdx.errors import ConfigError, DatasetError, UsageError
+from gmdx.errors import ConfigError, DatasetError, Failure, UsageError
 from gmdx.files.formats import read_json, read_npz, read_ply
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally

@@ -94,20 +94,3 @@ COLUMNS = (*IDENTITY, *GRASP, *METRIC_COLUMNS, *BOUNDS, *OUTCOME)
 SCHEMA = pa.schema(
     [column.field for column in COLUMNS], metadata={"gmdx_schema_version": str(SCHEMA_VERSION)}
 )
-
-
-@dataclass(frozen=True)
-class Failure:
-    """An object or a scene that was not produced, and why."""
-
-    object_id: str
-    scene_id: int | None  # None: the whole object
-    stage: str  # of the pipeline: prepare, settle, sample, trials, metrics, render, write, worker
-    error: str  # class of the error
-    message: str
-
-    @property
-    def key(self) -> tuple[str, int, str, str]:
-        """Order in `failures.jsonl`: by object, the object's own line first."""
-        scene = -1 if self.scene_id is None else self.scene_id
-        return (self.object_id, scene, self.stage, self.message)

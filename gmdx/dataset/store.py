@@ -1,27 +1,17 @@
-"""A dataset's folder while it is produced: locked, resumable, and never half-written."""
+"""A dataset's folder while it is produced: objects come into place whole, failures are kept."""
 
-import contextlib
-import errno
-import fcntl
 import json
-import logging
-import os
-import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from gmdx.config import differences
 from gmdx.dataset import schema
-from gmdx.dataset.schema import Failure
-from gmdx.errors import DatasetError, UsageError
-from gmdx.files.formats import json_text, read_json, sync_folder, write_text
+from gmdx.errors import DatasetError, Failure
+from gmdx.files.folder import Kind, OutputError, RunFolder, writing
+from gmdx.files.formats import read_json, write_text
 
-_log = logging.getLogger("gmdx")
-
-PARTIAL = ".partial"  # folder inside the root for what is not complete yet
+DATASET = Kind("dataset", schema.DATASET_FILE, folders=(schema.OBJECTS_FOLDER,))
 _RESULTS = (  # of an object; its costs may go missing
     schema.OBJECT_FILE,
     schema.MESH_FILE,
@@ -31,35 +21,11 @@ _RESULTS = (  # of an object; its costs may go missing
 )
 
 
-class OutputError(DatasetError, UsageError):
-    """The output folder cannot take this run: foreign, unwritable, in use or configured else."""
-
-
-class StorageError(DatasetError):
-    """The disk refused a write."""
-
-
-@contextlib.contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Turn what the operating system refuses into a StorageError that says what to do."""
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        advice = "free some space" if full else "see to the disk"
-        reason = error.strerror if error.strerror is not None else str(error)
-        raise StorageError(
-            f"cannot write to {folder}: {reason}; {advice} and run the same command again: "
-            "it continues after the objects that are complete"
-        ) from error
-
-
 class DatasetStore:
-    """The root folder of a dataset during one run; a context manager that holds its lock.
+    """A dataset during one run; a context manager that holds its folder.
 
-    Objects are written into folders under `<root>/.partial` and renamed into place, so that
-    `objects/` only ever holds complete ones. What a killed run left under `.partial` is
-    removed at the start of the next.
+    An object is written into a folder of its attempt and renamed into place, so that `objects/`
+    only ever holds complete ones.
     """
 
     def __init__(self, root: str | Path, header: Mapping[str, Any]) -> None:
@@ -72,25 +38,20 @@ class DatasetStore:
         Raises:
             OutputError: The folder is not empty and not a dataset, cannot be written, is being
                 written by another run, or holds a dataset made with another header.
+            StorageError: The disk refused.
         """
         self.root = Path(root)
         self.objects = self.root / schema.OBJECTS_FOLDER
-        self._partial = self.root / PARTIAL
-        self._header = {"schema_version": schema.SCHEMA_VERSION, **json.loads(json_text(header))}
-        if self.root.exists() and not self.root.is_dir():
-            raise OutputError(f"cannot use {self.root} for output: it is no folder; give another")
-        try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            self._refuse_foreign()
-            self._lock = _locked(self.root)
-        except OSError as error:
-            raise OutputError(f"cannot use {self.root} for output: {error.strerror}") from error
+        self._folder = RunFolder(
+            root,
+            DATASET,
+            {"schema_version": schema.SCHEMA_VERSION, **header},
+            state={"status": "running", "counts": None},
+        )
         try:
             with writing(self.root):
-                shutil.rmtree(self._partial, ignore_errors=True)
-                self._partial.mkdir()
                 self.objects.mkdir(exist_ok=True)
-            self._begin()
+            self._forget_cut_line()
         except BaseException:
             self.close()
             raise
@@ -98,18 +59,12 @@ class DatasetStore:
     def __enter__(self) -> "DatasetStore":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
         """Remove what is not complete and let other runs in."""
-        shutil.rmtree(self._partial, ignore_errors=True)
-        os.close(self._lock)
+        self._folder.close()
 
     def complete(self) -> set[str]:
         """Ids of the objects that are in place.
@@ -127,23 +82,21 @@ class DatasetStore:
                 )
         return {folder.name for folder in found}
 
-    def partial(self, object_id: str) -> Path:
-        """Where to write an object before it is published; nothing is there yet."""
-        return self._partial / "objects" / object_id
+    def attempt(self, object_id: str) -> Path:
+        """A new folder to write an object into, once; nothing is there yet."""
+        return self._folder.attempt(object_id)
 
-    def publish(self, object_id: str) -> None:
+    def publish(self, attempt: Path, object_id: str) -> None:
         """Put a written object into place.
 
         Raises:
             StorageError: The disk refused.
         """
-        with writing(self.objects):
-            self.partial(object_id).rename(self.objects / object_id)
-            sync_folder(self.objects)
+        self._folder.publish(attempt, f"{schema.OBJECTS_FOLDER}/{object_id}")
 
-    def discard(self, object_id: str) -> None:
-        """Remove what there is of an object that failed."""
-        shutil.rmtree(self.partial(object_id), ignore_errors=True)
+    def discard(self, attempt: Path) -> None:
+        """Remove what there is of an attempt that failed."""
+        self._folder.discard(attempt)
 
     def record(self, failures: Iterable[Failure]) -> None:
         """Append failures while the run goes on.
@@ -184,46 +137,20 @@ class DatasetStore:
                 everything[failure.key] = failure
         counts["failures"] = len(everything)
         ordered = [everything[key] for key in sorted(everything)]
-        self._replace(schema.FAILURES_FILE, "".join(map(_line, ordered)))
-        self._write_header(status="complete", counts=counts)
+        self._replace_failures("".join(map(_line, ordered)))
+        self._folder.write_header({"status": "complete", "counts": counts})
         return counts
 
-    def _refuse_foreign(self) -> None:
-        """Refuse a folder with anything in it that is not a dataset."""
-        if (self.root / schema.DATASET_FILE).is_file():
-            return
-        foreign = sorted(p.name for p in self.root.iterdir() if p.name != PARTIAL)
-        if foreign and foreign != [schema.OBJECTS_FOLDER]:
-            raise OutputError(
-                f"{self.root} is not empty and not a gmdx dataset (it holds {foreign[0]!r}); "
-                "give a new folder"
-            )
+    def _forget_cut_line(self) -> None:
+        """Remove the last line of the failures where a run was killed while it appended it."""
+        path = self.root / schema.FAILURES_FILE
+        whole, _, cut = (path.read_text("utf-8") if path.is_file() else "").rpartition("\n")
+        if cut:
+            self._replace_failures(f"{whole}\n" if whole else "")
 
-    def _begin(self) -> None:
-        """Write the header of a new dataset, or compare it with the one that is there."""
-        path = self.root / schema.DATASET_FILE
-        if path.is_file():
-            known = read_json(path)
-            before = {k: v for k, v in known.items() if k not in ("status", "counts")}
-            changed = differences(before, self._header)
-            if changed:
-                raise OutputError(
-                    f"{self.root} holds a dataset made otherwise: {'; '.join(changed)}. "
-                    "Give another folder, or the same options; name in the configuration what "
-                    "`auto` stood for on another machine"
-                )
-        self._write_header(status="running", counts=None)
-
-    def _write_header(self, *, status: str, counts: dict[str, int] | None) -> None:
-        content = {**self._header, "status": status, "counts": counts}
-        self._replace(schema.DATASET_FILE, json_text(content))
-
-    def _replace(self, name: str, text: str) -> None:
-        """Put a file of the root into place at once."""
-        with writing(self.root / name):
-            write_text(self._partial / name, text)
-            (self._partial / name).replace(self.root / name)
-            sync_folder(self.root)
+    def _replace_failures(self, text: str) -> None:
+        with self._folder.replacing(schema.FAILURES_FILE) as path:
+            write_text(path, text)
 
 
 def read_failures(root: Path) -> list[Failure]:
@@ -249,16 +176,3 @@ def read_failures(root: Path) -> list[Failure]:
 
 def _line(failure: Failure) -> str:
     return json.dumps(asdict(failure), sort_keys=True) + "\n"
-
-
-def _locked(folder: Path) -> int:
-    """A descriptor that holds the folder's lock until it is closed, or the process ends."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(descriptor)
-        raise OutputError(f"another run is writing {folder}; wait for it to end") from error
-    except OSError as error:  # some network file systems have no locks
-        _log.warning("%s cannot be locked (%s): start no second run", folder, error.strerror)
-    return descriptor

@@ -1,6 +1,5 @@
 """One object's folder: scenes and grasps streamed in, so that memory does not grow with them."""
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,14 +8,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.ipc
-import pyarrow.parquet as pq
 
 from gmdx.arrays import Array
 from gmdx.dataset import schema
-from gmdx.dataset.schema import Failure
-from gmdx.dataset.store import writing
-from gmdx.errors import DatasetError
-from gmdx.files.formats import json_text, sync_folder, write_npz, write_ply, write_text
+from gmdx.errors import DatasetError, Failure
+from gmdx.files.folder import writing
+from gmdx.files.formats import json_text, write_npz, write_parquet, write_ply, write_text
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.compute import MetricTable
 from gmdx.metrics.quality import Evidence
@@ -132,7 +129,6 @@ class ObjectWriter:
         """Write seconds by stage, the last file: the folder is complete after this."""
         with writing(self._folder):
             write_text(self._folder / schema.COST_FILE, json_text(cost))
-            sync_folder(self._folder)
 
     def _scene_arrays(self) -> dict[str, Array]:
         views = self._images
@@ -150,11 +146,7 @@ class ObjectWriter:
 
     def _merge_spools(self) -> None:
         path = self._folder / schema.GRASPS_FILE
-        with pq.ParquetWriter(path, schema.SCHEMA, compression="zstd") as writer:
-            for table in _regrouped(self._spools):
-                writer.write_table(table, row_group_size=schema.ROW_GROUP)
-        with path.open("rb") as file:
-            os.fsync(file.fileno())
+        write_parquet(path, _regrouped(self._spools), schema.SCHEMA, row_group=schema.ROW_GROUP)
         for spool in self._spools:
             spool.unlink()
 

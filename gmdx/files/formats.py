@@ -1,13 +1,18 @@
-"""File formats whose bytes depend on nothing but their content, written to last."""
+"""File formats whose bytes depend on nothing but their content.
+
+What writes a file here does not wait for the disk: `gmdx.files.folder` does, for whatever comes
+into place.
+"""
 
 import json
-import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from gmdx.arrays import Array, Float, Int
 from gmdx.errors import DatasetError
@@ -55,25 +60,19 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file and wait until it is on the disk."""
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    """Write a text file, with the same ends of lines on every system."""
+    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_npz(path: Path, arrays: Mapping[str, Array]) -> None:
     """Write named arrays as a compressed npz file, the same bytes for the same arrays."""
-    with path.open("wb") as file:
-        with zipfile.ZipFile(file, "w") as archive:
-            for name, array in arrays.items():
-                entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry._compresslevel = _COMPRESSION_LEVEL  # type: ignore[attr-defined]
-                with archive.open(entry, "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.ascontiguousarray(array))
-        file.flush()
-        os.fsync(file.fileno())
+    with path.open("wb") as file, zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry._compresslevel = _COMPRESSION_LEVEL  # type: ignore[attr-defined]
+            with archive.open(entry, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.ascontiguousarray(array))
 
 
 def read_npz(path: Path) -> dict[str, Array]:
@@ -87,6 +86,28 @@ def read_npz(path: Path) -> dict[str, Array]:
             return {name: archive[name] for name in archive.files}
     except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
         raise DatasetError(f"cannot read {path}: {error}; the dataset is damaged") from error
+
+
+def write_parquet(
+    path: Path,
+    tables: Iterable[pa.Table],
+    schema: pa.Schema,
+    *,
+    row_group: int | None = None,
+    compression: str = "zstd",
+) -> None:
+    """Write tables one after the other as one parquet file.
+
+    Args:
+        path: The file.
+        tables: With the columns of the schema; drawn one at a time.
+        schema: Of the file, metadata included.
+        row_group: Rows of each group but a table's last; None: as many as the table has.
+        compression: By parquet's name.
+    """
+    with path.open("wb") as file, pq.ParquetWriter(file, schema, compression=compression) as writer:
+        for table in tables:
+            writer.write_table(table, row_group_size=row_group)
 
 
 def write_ply(path: Path, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> None:
@@ -106,8 +127,6 @@ def write_ply(path: Path, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"
         file.write("".join(f"{line}\n" for line in header).encode("ascii"))
         file.write(np.ascontiguousarray(vertices, "<f8").tobytes())
         file.write(triangles.tobytes())
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def read_ply(path: Path) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
@@ -125,12 +144,3 @@ def read_ply(path: Path) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
         raise DatasetError(f"cannot read {path}: {error}; the dataset is damaged") from error
     points = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(float)
     return points, faces["index"].astype(np.int64)
-
-
-def sync_folder(folder: Path) -> None:
-    """Wait until the names in `folder` are on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

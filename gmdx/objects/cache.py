@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import hashlib
-import importlib.metadata
 import json
 import logging
 import tempfile
@@ -12,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from gmdx.machine.packages import PREPARING, versions
 from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
 from gmdx.objects.sources import ObjectSource
 
-_PACKAGES = ("coacd", "fast-simplification", "manifold3d", "numpy", "scipy", "trimesh")
 _NOT_PREPARATION = frozenset({"cache.py", "report.py", "sources"})  # of gmdx.objects
 _GROUND_FLOOR = ("arrays.py", "geometry.py", "rng.py")  # that preparation builds on
 _log = logging.getLogger("gmdx")
@@ -46,8 +45,8 @@ def code_version() -> str:
     ground = [folder.parent / name for name in _GROUND_FLOOR]
     for module in sorted([*own, *ground]):
         digest.update(module.relative_to(folder.parent).as_posix().encode() + module.read_bytes())
-    for package in _PACKAGES:
-        digest.update(f"{package}=={importlib.metadata.version(package)}\n".encode())
+    for package, version in versions(PREPARING).items():
+        digest.update(f"{package}=={version}\n".encode())
     return digest.hexdigest()
 
 

@@ -11,9 +11,8 @@ from operator import add
 from typing import TypeVar
 
 from gmdx.dataset.costs import cost_record
-from gmdx.dataset.schema import Failure
 from gmdx.dataset.write import ObjectWriter
-from gmdx.errors import SceneError
+from gmdx.errors import Failure, SceneError
 from gmdx.machine.clock import added
 from gmdx.machine.processes import return_freed_memory
 from gmdx.metrics.quality import Evidence

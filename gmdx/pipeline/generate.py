@@ -2,17 +2,20 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from gmdx.config import as_dict
-from gmdx.dataset.schema import OBJECT_FILE, Failure
-from gmdx.dataset.store import DatasetStore, OutputError
+from gmdx.dataset.schema import OBJECT_FILE
+from gmdx.dataset.store import DatasetStore
+from gmdx.errors import Failure
+from gmdx.files.folder import OutputError
 from gmdx.files.formats import read_json
+from gmdx.machine.packages import RESULTS, kernel_packages, versions
 from gmdx.machine.processes import Crash, Finished, run_tasks
+from gmdx.machine.progress import Follower, OnProgress
 from gmdx.objects.prepare import content_hash
 from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pipeline.annotate import annotate
@@ -24,25 +27,9 @@ from gmdx.trials.engines import AUTO, ENGINES, choose, open_engine
 
 logger = logging.getLogger("gmdx")
 
-__all__ = ["GenerateConfig", "Progress", "Summary", "generate"]
+__all__ = ["GenerateConfig", "Summary", "generate"]
 
-# Packages whose version can change a result: a dataset is made with one version of each.
-PACKAGES = (
-    "gmdx", "clarabel", "coacd", "fast-simplification", "manifold3d", "mujoco", "numpy",
-    "pyarrow", "scipy", "trimesh",
-)  # fmt: skip
 _WITHOUT_EFFECT = ("workers", "block", "parallel_trials", "cache")  # on results
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run stands, after each object."""
-
-    object_id: str  # the object that was finished last; "" at the start
-    done: int  # objects finished in this run
-    total: int  # objects to do in this run
-    grasps: int  # annotated in this run
-    failures: tuple[Failure, ...]  # of that object
 
 
 @dataclass(frozen=True)
@@ -62,7 +49,7 @@ def generate(
     out: str | Path,
     config: GenerateConfig | None = None,
     *,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Summary:
     """Annotate objects into a dataset; with the same arguments, continue one.
 
@@ -88,7 +75,7 @@ def generate(
     sources = resolve([str(spec) for spec in specs], leave_out=Path(out))
     gripper = load_gripper(config.gripper)
     failures: list[Failure] = []
-    grasps = produced = 0
+    produced = 0
 
     with DatasetStore(out, _header(config, gripper)) as store:
         present = store.complete()
@@ -96,28 +83,22 @@ def generate(
             if source.object_id in present:
                 _refuse_another(store, source)
         todo = [source for source in sources if source.object_id not in present]
-
-        def report(object_id: str, done: int, failures: tuple[Failure, ...]) -> None:
-            if on_progress is not None:
-                on_progress(Progress(object_id, done, len(todo), grasps, failures))
-
-        report("", 0, ())
-        tasks = (Task(s, store.partial(s.object_id), gripper, config) for s in todo)
+        follower = Follower(len(todo), on_progress)
+        tasks = (Task(s, store.attempt(s.object_id), gripper, config) for s in todo)
         with contextlib.closing(_annotated(tasks, config, len(todo))) as finished:
-            for done, item in enumerate(finished, start=1):
+            for item in finished:
                 object_id = item.task.source.object_id
                 outcome = _crashed(object_id, item.result) if isinstance(item.result, Crash) else (
                     item.result
                 )  # fmt: skip
                 if outcome.produced:
-                    store.publish(object_id)
+                    store.publish(item.task.folder, object_id)
                     produced += 1
-                    grasps += outcome.grasps
                 else:
-                    store.discard(object_id)
+                    store.discard(item.task.folder)
                     failures += outcome.failures
                 store.record(outcome.failures)
-                report(object_id, done, outcome.failures)
+                follower.finished(object_id, count=outcome.grasps, failures=outcome.failures)
         counts = store.finish(failures, sources={source.object_id for source in sources})
     return Summary(
         root=Path(out),
@@ -164,16 +145,11 @@ def _crashed(object_id: str, crash: Crash) -> ObjectOutcome:
 def _header(config: GenerateConfig, gripper: Gripper) -> dict[str, Any]:
     """Everything that results depend on besides the objects."""
     open_engine(config.engine)  # refused by name where it is not installed
-    packages = (*PACKAGES, *ENGINES[config.engine].packages, *_kernel_packages(config))
+    kernels = kernel_packages(config.metric.quality.implementation)
     return {
         "configuration": as_dict(config, leave_out=(*_WITHOUT_EFFECT, "gripper", "seed")),
         "gripper": gripper_record(gripper),
         "seed": config.seed,
         "engine": config.engine,
-        "packages": {name: version(name) for name in packages},
+        "packages": versions((*RESULTS, *ENGINES[config.engine].packages, *kernels)),
     }
-
-
-def _kernel_packages(config: GenerateConfig) -> list[str]:
-    """Packages that the chosen implementation of the array kernel rests on, besides NumPy."""
-    return ["jax", "jaxlib"] if config.metric.quality.implementation == "jax" else []

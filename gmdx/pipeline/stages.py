@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from gmdx.dataset.schema import Failure
-from gmdx.dataset.store import StorageError
-from gmdx.errors import GmdxError
+from gmdx.errors import Failure, GmdxError
+from gmdx.files.folder import StorageError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
 from gmdx.machine.clock import Clock, Seconds

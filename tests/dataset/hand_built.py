@@ -7,9 +7,9 @@ import numpy as np
 
 from gmdx.config import as_dict
 from gmdx.dataset import schema
-from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import DatasetStore
 from gmdx.dataset.write import ObjectWriter
+from gmdx.errors import Failure
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally
 from gmdx.scenes.camera import CameraConfig, render
@@ -78,8 +78,9 @@ def write_object(
 def write_dataset(root: Path, *object_ids: str) -> None:
     with DatasetStore(root, HEADER) as store:
         for object_id in object_ids:
-            write_object(store.partial(object_id), object_id)
-            store.publish(object_id)
+            attempt = store.attempt(object_id)
+            write_object(attempt, object_id)
+            store.publish(attempt, object_id)
         failure = Failure("cup", None, "prepare", "MeshError", "no faces")
         store.record([failure])
         store.finish([failure], sources={*object_ids, "cup"})

@@ -10,9 +10,9 @@ from rich.console import Console
 
 from gmdx.dataset.inspect import overview, tables
 from gmdx.dataset.read import Dataset, read_dataset
-from gmdx.dataset.schema import Failure
 from gmdx.dataset.store import DatasetStore
 from gmdx.dataset.write import ObjectWriter
+from gmdx.errors import Failure
 from gmdx.metrics.table import METRIC_NAMES
 from gmdx.scenes.camera import render
 from tests.dataset.hand_built import CAMERA, EVIDENCE, HEADER, columns_of, grasps_of, scene_of
@@ -30,7 +30,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
             ("cup", ["success", "no_contact"]),
         ):
             scene = scene_of(object_id)
-            writer = ObjectWriter(store.partial(object_id), scene.object)
+            attempt = store.attempt(object_id)
+            writer = ObjectWriter(attempt, scene.object)
             grasps = grasps_of(4)
             columns = columns_of(grasps)
             columns["outcomes"] = np.array([labels] * 4, dtype=object)
@@ -41,7 +42,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
             writer.write_scene(scene, images, [(grasps, columns)])
             writer.close(failures=[], evidence=EVIDENCE)
             writer.write_cost({"cpu_seconds": {"trials": 1.5, "settle": 0.5}})
-            store.publish(object_id)
+            store.publish(attempt, object_id)
         failure = Failure("jug", None, "prepare", "MeshError", "no [closed] surface")
         store.finish([failure], sources={"mug", "cup", "jug"})
     return read_dataset(root)

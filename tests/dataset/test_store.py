@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gmdx.dataset import schema, store, write
-from gmdx.dataset.schema import Failure
-from gmdx.dataset.store import PARTIAL, DatasetStore, OutputError, StorageError, read_failures
-from gmdx.errors import DatasetError
+from gmdx.dataset.store import DatasetStore, read_failures
+from gmdx.errors import DatasetError, Failure
 from gmdx.files import formats as files
+from gmdx.files.folder import PARTIAL, OutputError, StorageError
 from tests.dataset.hand_built import (
     HEADER,
     columns_of,
@@ -25,6 +25,12 @@ from tests.dataset.hand_built import (
 
 def contents(root: Path) -> dict[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+def put(kept: DatasetStore, object_id: str) -> None:
+    attempt = kept.attempt(object_id)
+    write_object(attempt, object_id)
+    kept.publish(attempt, object_id)
 
 
 def test_same_content_gives_same_bytes(tmp_path: Path) -> None:
@@ -45,16 +51,14 @@ def test_what_a_killed_run_left_is_removed_and_the_rest_stays(tmp_path: Path) ->
     root = tmp_path / "data"
     write_dataset(tmp_path / "whole", "mug", "bowl")
     with DatasetStore(root, HEADER) as kept:
-        write_object(kept.partial("mug"), "mug")
-        kept.publish("mug")
-    left = root / PARTIAL / "objects" / "bowl"
+        put(kept, "mug")
+    left = root / PARTIAL / "run-of-the-dead" / "1-bowl"
     left.mkdir(parents=True)
     (left / "mesh.ply").write_bytes(b"ply, and then the power went")
     with DatasetStore(root, HEADER) as kept:
         assert kept.complete() == {"mug"}
         assert not left.exists()
-        write_object(kept.partial("bowl"), "bowl")
-        kept.publish("bowl")
+        put(kept, "bowl")
         failure = Failure("cup", None, "prepare", "MeshError", "no faces")
         kept.finish([failure], sources={"mug", "bowl", "cup"})
     assert contents(root) == contents(tmp_path / "whole")
@@ -92,8 +96,7 @@ def test_scene_failures_of_produced_objects_survive_a_restart(tmp_path: Path) ->
 def test_a_failure_that_was_mended_is_forgotten(tmp_path: Path) -> None:
     write_dataset(tmp_path, "mug")
     with DatasetStore(tmp_path, HEADER) as again:
-        write_object(again.partial("cup"), "cup")
-        again.publish("cup")
+        put(again, "cup")
         again.finish([], sources={"mug", "cup"})
     assert {f.scene_id for f in read_failures(tmp_path)} == {2}
 
@@ -151,19 +154,18 @@ def test_two_runs_cannot_write_one_folder(tmp_path: Path) -> None:
     DatasetStore(tmp_path, HEADER).close()
 
 
-@pytest.mark.parametrize("module", [files, write])
 def test_a_full_disk_is_named_and_leaves_nothing(
-    tmp_path: Path, module: object, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The n-th wait for the disk fails, whichever file that is about."""
+    """Every wait for the disk fails, whichever file that is about."""
 
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with DatasetStore(tmp_path, HEADER) as kept:
-        monkeypatch.setattr(module.os, "fsync", full)  # type: ignore[attr-defined]
+        monkeypatch.setattr(os, "fsync", full)
         with pytest.raises(StorageError, match=r"No space left on device; free some space"):
-            write_object(kept.partial("mug"), "mug")
+            put(kept, "mug")
         with pytest.raises(StorageError):
             kept.finish([], sources=set())
         monkeypatch.undo()

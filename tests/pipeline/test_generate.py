@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from gmdx.dataset.read import grasps_in, read_dataset
-from gmdx.dataset.store import PARTIAL, OutputError, StorageError
 from gmdx.errors import CatalogError, ConfigError, GripperError
-from gmdx.files import formats as files
+from gmdx.files.folder import PARTIAL, OutputError, StorageError
+from gmdx.machine.progress import Progress
 from gmdx.metrics.compute import compute_metrics
 from gmdx.metrics.table import METRIC_NAMES, METRICS
-from gmdx.pipeline.generate import GenerateConfig, Progress, generate
+from gmdx.pipeline.generate import GenerateConfig, generate
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.settle import SettleConfig, settle
 from gmdx.trials.protocol import TrialConfig
@@ -210,12 +210,12 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_complete(
 
     def full_after_two(progress: Progress) -> None:
         if workers == 2 and progress.done == 2:
-            monkeypatch.setattr(files.os, "fsync", fills_up)
+            monkeypatch.setattr(os, "fsync", fills_up)
             nonlocal written
             written = 15
 
     if workers == 1:
-        monkeypatch.setattr(files.os, "fsync", fills_up)
+        monkeypatch.setattr(os, "fsync", fills_up)
     with pytest.raises(StorageError, match="No space left on device; free some space"):
         generate(meshes, tmp_path / "out", config, on_progress=full_after_two)
     monkeypatch.undo()

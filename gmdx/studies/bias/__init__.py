@@ -4,7 +4,6 @@
 """
 
 from gmdx.studies.bias.figures import bias_figures
-from gmdx.studies.bias.parts import ReplayProgress
 from gmdx.studies.bias.result import BiasConfig, BiasStudy
 from gmdx.studies.bias.study import bias_study
 from gmdx.studies.bias.words import summary, summary_head
@@ -12,7 +11,6 @@ from gmdx.studies.bias.words import summary, summary_head
 __all__ = [
     "BiasConfig",
     "BiasStudy",
-    "ReplayProgress",
     "bias_figures",
     "bias_study",
     "summary",

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from gmdx.arrays import Array, Int
 from gmdx.dataset.read import Dataset
 from gmdx.dataset.schema import GRASP, IDENTITY
+from gmdx.files.formats import write_parquet
 from gmdx.metrics.table import COMPARED
 from gmdx.studies.bias.replay import Run, RunRows
 from gmdx.trials.outcome import Outcome
@@ -67,9 +67,7 @@ def write_pairs(
             pa.array(rows_of.lower_bound, pa.bool_(), mask=~rows_of.present),
         ]  # fmt: skip
     table = pa.table(columns, schema=pa.schema(fields))
-    partial = path.with_suffix(".partial")
-    pq.write_table(table, partial, compression="zstd")
-    partial.replace(path)
+    write_parquet(path, [table], table.schema)
 
 
 def _doubles(values: Array) -> pa.Array:

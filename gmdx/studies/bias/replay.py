@@ -1,7 +1,6 @@
 """Running a dataset's grasps again, in the same engine or another, under a changed setting."""
 
 import logging
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +14,9 @@ import pyarrow.parquet as pq
 from gmdx.arrays import Array, Bool, Float, Int
 from gmdx.config import merge
 from gmdx.dataset.read import Dataset, grasps_in, read_dataset
-from gmdx.dataset.schema import Failure
-from gmdx.dataset.store import writing
-from gmdx.errors import DatasetError, GmdxError
+from gmdx.errors import DatasetError, Failure, GmdxError
+from gmdx.files.folder import writing
+from gmdx.files.formats import write_parquet
 from gmdx.metrics.compute import MetricConfig, compute_metrics
 from gmdx.metrics.table import COMPARED
 from gmdx.objects.decompose import Attempt, DecomposeConfig, decompose
@@ -33,6 +32,7 @@ from gmdx.trials.run import run_trials
 
 logger = logging.getLogger("gmdx")
 
+PARTS_FOLDER = "parts"
 KEY = ("object_id", "scene_id", "grasp_id")
 _COLUMNS = (*(metric.name for metric in COMPARED), "force_is_lower_bound", "valid_trials")
 _LABELS = [outcome.label for outcome in Outcome]
@@ -63,12 +63,12 @@ class Replay:
     trials: int  # of each grasp
     trial: TrialConfig
     metric: MetricConfig
-    out: Path  # the part to write
+    out: Path  # to write, which nobody else sees yet
 
     @property
-    def done(self) -> bool:
-        """Whether its part is there; parts come into place whole."""
-        return self.out.is_file()
+    def part(self) -> str:
+        """The path inside the study that it comes into place at."""
+        return f"{PARTS_FOLDER}/{self.object_id}/{self.run.name}.parquet"
 
 
 @dataclass(frozen=True)
@@ -136,13 +136,9 @@ def replay(task: Replay) -> Failure | None:
         if not isinstance(error, GmdxError):
             logger.debug("%s failed in %s", task.object_id, task.run.name, exc_info=error)
         return Failure(task.object_id, None, task.run.name, type(error).__name__, str(error))
+    table = pa.concat_tables(tables)
     with writing(task.out):
-        task.out.parent.mkdir(parents=True, exist_ok=True)
-        partial = task.out.with_suffix(f".{os.getpid()}.partial")
-        pq.write_table(pa.concat_tables(tables), partial, compression="zstd")
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(task.out)
+        write_parquet(task.out, [table], table.schema)
     return None
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from gmdx.arrays import Array, Int
 from gmdx.config import as_dict
 from gmdx.dataset.read import Dataset
-from gmdx.dataset.schema import Failure
-from gmdx.errors import ConfigError
+from gmdx.errors import ConfigError, Failure
 from gmdx.scenes.gripper import Gripper
 from gmdx.studies.bias.compare import Comparison
 from gmdx.studies.bias.replay import Run, RunRows

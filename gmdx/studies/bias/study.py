@@ -10,35 +10,33 @@
 ```
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gmdx.config import merge
 from gmdx.dataset.read import Dataset, read_dataset
 from gmdx.dataset.schema import DATASET_FILE
-from gmdx.dataset.store import writing
 from gmdx.errors import UsageError
-from gmdx.files.formats import json_text
+from gmdx.files.folder import RunFolder
+from gmdx.files.formats import json_text, write_text
+from gmdx.machine.progress import OnProgress
 from gmdx.metrics.compute import MetricConfig
 from gmdx.objects.prepare import content_hash
 from gmdx.rng import generator
 from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
-from gmdx.studies.bias.compare import compare, most_disputed
+from gmdx.studies.bias.compare import Comparison, compare, most_disputed
 from gmdx.studies.bias.pairs import write_pairs
-from gmdx.studies.bias.parts import PARTS_FOLDER, ReplayProgress, begin, put, run_missing
-from gmdx.studies.bias.replay import Replay, Run, read_parts, runs_of
+from gmdx.studies.bias.parts import open_study, run_missing
+from gmdx.studies.bias.replay import Replay, Run, RunRows, read_parts, runs_of
 from gmdx.studies.bias.result import BiasConfig, BiasStudy, Choice
 from gmdx.studies.engines import TruthRow, truth_table
 from gmdx.trials.engines import choose as choose_engine
 from gmdx.trials.engines import open_engine
 from gmdx.trials.protocol import TrialConfig
-
-if TYPE_CHECKING:
-    pass
 
 PAIRS_FILE, STATISTICS_FILE, REPORT_FILE = "pairs.parquet", "bias.json", "report.html"
 
@@ -49,7 +47,7 @@ def bias_study(
     config: BiasConfig | None = None,
     *,
     gripper: Gripper | None = None,
-    on_progress: Callable[[ReplayProgress], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> BiasStudy:
     """Replay a dataset's grasps in a second engine; with the same arguments, continue.
 
@@ -75,79 +73,82 @@ def bias_study(
     settings: Mapping[str, Any] = dataset.info["configuration"]
     trials, trial = int(settings["trials"]), merge(TrialConfig(), settings["trial"])
     choice = choose(dataset, config)
-    root = Path(out)
-    begin(
-        root,
-        {
-            "dataset": content_hash(dataset.root / DATASET_FILE),
-            "engine": config.engine,
-            "reference": dataset.info["engine"],
-            "seed": config.seed,
-            "gripper": gripper_record(gripper)["sha256"],
-            "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
-        },
-    )
-
-    tasks = {
-        (object_id, run.name): Replay(
-            dataset=dataset.root,
-            object_id=object_id,
+    metric = merge(MetricConfig(), settings["metric"])
+    header = {
+        "dataset": content_hash(dataset.root / DATASET_FILE),
+        "engine": config.engine,
+        "reference": dataset.info["engine"],
+        "seed": config.seed,
+        "gripper": gripper_record(gripper)["sha256"],
+        "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
+    }
+    with open_study(Path(out), header, metric) as folder:
+        tasks = {
+            (object_id, run.name): Replay(
+                dataset=dataset.root,
+                object_id=object_id,
+                rows=rows,
+                run=run,
+                gripper=gripper,
+                trials=trials,
+                trial=trial,
+                metric=metric,
+                out=folder.attempt(f"{run.name}.parquet"),
+            )
+            for object_id, rows in zip(choice.objects, choice.rows, strict=True)
+            for run in runs
+        }
+        failures = run_missing(folder, list(tasks.values()), config.workers, on_progress)
+        parts = {
+            run.name: read_parts(
+                [
+                    (folder.root / tasks[object_id, run.name].part, len(rows))
+                    for object_id, rows in zip(choice.objects, choice.rows, strict=True)
+                ],
+                trials=trials,
+            )
+            for run in runs
+        }
+        rows = {name: part.rows for name, part in parts.items()}
+        comparisons = _comparisons(config, choice, runs, rows)
+        study = BiasStudy(
+            root=folder.root,
+            dataset=dataset,
+            config=config,
+            choice=choice,
+            runs=runs,
+            versions={name: part.version for name, part in parts.items()},
             rows=rows,
-            run=run,
+            engines=comparisons[0],
+            floor=tuple(comparisons[1:]),
+            disputed=tuple(most_disputed(rows["a"], rows["b"], config.disputed)),
+            truth=_truth(runs, gripper, trial) if config.truth else (),
+            failures=failures,
             gripper=gripper,
             trials=trials,
-            trial=trial,
-            metric=merge(MetricConfig(), settings["metric"]),
-            out=root / PARTS_FOLDER / object_id / f"{run.name}.parquet",
         )
-        for object_id, rows in zip(choice.objects, choice.rows, strict=True)
-        for run in runs
-    }
-    failures = run_missing(list(tasks.values()), config.workers, on_progress)
-    parts = {
-        run.name: read_parts(
-            [
-                (tasks[object_id, run.name].out, len(rows))
-                for object_id, rows in zip(choice.objects, choice.rows, strict=True)
-            ],
-            trials=trials,
-        )
-        for run in runs
-    }
-    rows = {name: part.rows for name, part in parts.items()}
-    labels = {run.name: run.label for run in runs}
-    comparisons = [
+        _finish(study, folder)
+    return study
+
+
+def _comparisons(
+    config: BiasConfig, choice: Choice, runs: tuple[Run, ...], rows: Mapping[str, RunRows]
+) -> list[Comparison]:
+    """Every run but the first compared with the first."""
+    return [
         compare(
             rows["a"],
             rows[run.name],
             choice.objects,
             choice.index,
             name=run.name,
-            labels=(labels["a"], _told_apart(run, runs)),
+            labels=(runs[0].label, _told_apart(run, runs)),
             thresholds=config.thresholds,
             seed=config.seed,
             resamples=config.resamples,
         )
         for run in runs[1:]
     ]
-    study = BiasStudy(
-        root=root,
-        dataset=dataset,
-        config=config,
-        choice=choice,
-        runs=runs,
-        trials=trials,
-        versions={name: part.version for name, part in parts.items()},
-        rows=rows,
-        engines=comparisons[0],
-        floor=tuple(comparisons[1:]),
-        disputed=tuple(most_disputed(rows["a"], rows["b"], config.disputed)),
-        truth=_truth(runs, gripper, trial) if config.truth else (),
-        failures=failures,
-        gripper=gripper,
-    )
-    _finish(study)
-    return study
 
 
 def _truth(runs: tuple[Run, ...], gripper: Gripper, config: TrialConfig) -> tuple[TruthRow, ...]:
@@ -198,12 +199,14 @@ def _told_apart(run: Run, runs: tuple[Run, ...]) -> str:
     return f"{run.label}, again" if run.name == "b" and run.label == runs[0].label else run.label
 
 
-def _finish(study: BiasStudy) -> None:
+def _finish(study: BiasStudy, folder: RunFolder) -> None:
     """Write the results from the parts."""
     from gmdx.studies.bias.report import report_html
 
-    with writing(study.root):
-        write_pairs(study.root / PAIRS_FILE, study.dataset, study.choice.objects,
-                    study.choice.rows, study.runs, study.rows)  # fmt: skip
-        put(study.root / STATISTICS_FILE, json_text(study.as_json()))
-        put(study.root / REPORT_FILE, report_html(study))
+    choice = study.choice
+    with folder.replacing(PAIRS_FILE) as path:
+        write_pairs(path, study.dataset, choice.objects, choice.rows, study.runs, study.rows)
+    with folder.replacing(STATISTICS_FILE) as path:
+        write_text(path, json_text(study.as_json()))
+    with folder.replacing(REPORT_FILE) as path:
+        write_text(path, report_html(study))

@@ -9,7 +9,6 @@ from gmdx.studies.engines.parity_result import EngineParity, MetricParity, Parit
 from gmdx.studies.engines.parity_runs import parity_figures
 from gmdx.studies.engines.runs import (
     RunFailure,
-    RunProgress,
     choose_all,
     refuse_idle_sizes,
     refuse_less_than_one,
@@ -23,7 +22,6 @@ __all__ = [
     "MetricParity",
     "ParityFigures",
     "RunFailure",
-    "RunProgress",
     "TrialFigures",
     "TrialSpeed",
     "TruthRow",

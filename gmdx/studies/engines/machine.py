@@ -2,9 +2,9 @@
 
 import platform
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from gmdx.machine.packages import versions_installed
 from gmdx.machine.processes import available_cores
 
 _PACKAGES = (
@@ -38,18 +38,12 @@ class Compilations:
 
 def machine() -> Machine:
     """This machine."""
-    packages = {}
-    for name in _PACKAGES:
-        try:
-            packages[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return Machine(
         processor=_processor(),
         cores=available_cores(),
         system=f"{platform.system()} {platform.machine()}",
         python=platform.python_version(),
-        packages=packages,
+        packages=versions_installed(_PACKAGES),
     )
 
 

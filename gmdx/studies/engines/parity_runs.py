@@ -1,7 +1,7 @@
 """The same seeded trials in C MuJoCo and in other engines, and how far they agree."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,15 +9,14 @@ import numpy as np
 from gmdx.errors import GmdxError
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
+from gmdx.machine.progress import Follower, OnProgress
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
 from gmdx.studies.engines.machine import machine
 from gmdx.studies.engines.parity import LIMITS, Measured, compare_trials, measure
 from gmdx.studies.engines.parity_result import EngineParity, ParityFigures
 from gmdx.studies.engines.runs import (
-    Follower,
     RunFailure,
-    RunProgress,
     choose_all,
     refuse_idle_sizes,
     refuse_less_than_one,
@@ -77,7 +76,7 @@ def parity_figures(
     parallel_trials: int | None = None,
     floor: bool = True,
     isolated: bool = False,
-    on_progress: Callable[[RunProgress], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> ParityFigures:
     """Run the same trials in C MuJoCo and in each engine, all objects in one run, and compare.
 
@@ -117,9 +116,9 @@ def parity_figures(
         task = _Task(name, threads, parallel_trials, at, batches, gripper, trials, config)
         results = run_apart(_run, task, label=label, isolated=isolated)
         if isinstance(results, RunFailure):
-            follower.ran(label, 0)
+            follower.finished(label)
             return results
-        follower.ran(label, task.trials)
+        follower.finished(label, count=task.trials)
         return measure(at, batches, results)
 
     reference = run(REFERENCE, scenes, REFERENCE)

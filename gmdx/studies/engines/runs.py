@@ -17,16 +17,6 @@ ResultT = TypeVar("ResultT")
 
 
 @dataclass(frozen=True)
-class RunProgress:
-    """Where a comparison of engines stands."""
-
-    label: str  # of what finished last; "" at the start
-    done: int  # engines; one with several numbers of parallel trials counts as several
-    total: int
-    trials: int  # run by now
-
-
-@dataclass(frozen=True)
 class RunFailure:
     """An engine that could not do what it was asked."""
 
@@ -42,25 +32,6 @@ class _Job(Generic[TaskT, ResultT]):
     function: Callable[[TaskT], ResultT]
     task: TaskT
     log_level: int
-
-
-class Follower:
-    """Counts the engines that have run, and tells of each."""
-
-    def __init__(self, total: int, on_progress: Callable[[RunProgress], None] | None) -> None:
-        self.done = self.trials = 0
-        self.total, self.on_progress = total, on_progress
-        self._tell("")
-
-    def ran(self, label: str, trials: int) -> None:
-        """An engine has run so many trials, or has failed."""
-        self.done += 1
-        self.trials += trials
-        self._tell(label)
-
-    def _tell(self, label: str) -> None:
-        if self.on_progress is not None:
-            self.on_progress(RunProgress(label, self.done, self.total, self.trials))
 
 
 def run_apart(

@@ -6,20 +6,19 @@ a ratio of two kinds of time says nothing. The host's processor seconds stand be
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.grasps.sample import sample_grasps
+from gmdx.machine.progress import Follower, OnProgress
 from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.scene import Scene
 from gmdx.studies.engines.machine import Machine, compilations, machine, peak_device_memory
 from gmdx.studies.engines.runs import (
-    Follower,
     RunFailure,
-    RunProgress,
     choose_all,
     refuse_idle_sizes,
     refuse_less_than_one,
@@ -135,7 +134,7 @@ def trial_figures(
     parallel_trials: Sequence[int] = (),
     threads: int = 1,
     isolated: bool = False,
-    on_progress: Callable[[RunProgress], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> TrialSpeed:
     """Run the same trials twice on each engine, and time the second run.
 
@@ -184,14 +183,14 @@ def trial_figures(
         figures = run_apart(_measure, case, label=case.label, isolated=isolated)
         if isinstance(figures, RunFailure):
             failures.append(figures)
-            follower.ran(case.label, 0)
+            follower.finished(case.label)
             continue
         if case is cases[0]:
             first_rate = figures.trials_per_second
         if first_rate is not None:
             figures = replace(figures, ratio=figures.trials_per_second / first_rate)
         found.append(figures)
-        follower.ran(case.label, 2 * case.trials)
+        follower.finished(case.label, count=2 * case.trials)
     return TrialSpeed(
         machine=machine(),
         objects=tuple(scene.object.object_id for scene in scenes),

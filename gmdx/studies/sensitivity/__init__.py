@@ -5,12 +5,11 @@
 
 from gmdx.studies.sensitivity.report import table
 from gmdx.studies.sensitivity.result import SensitivityStudy, summary
-from gmdx.studies.sensitivity.study import SensitivityConfig, StudyProgress, sensitivity_study
+from gmdx.studies.sensitivity.study import SensitivityConfig, sensitivity_study
 
 __all__ = [
     "SensitivityConfig",
     "SensitivityStudy",
-    "StudyProgress",
     "sensitivity_study",
     "summary",
     "table",

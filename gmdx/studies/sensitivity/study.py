@@ -8,9 +8,8 @@ it, and what `seed` does to an output is the noise floor of every other index.
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,9 @@ import numpy as np
 
 from gmdx.errors import GmdxError, SceneError, UsageError
 from gmdx.files.formats import json_text, write_text
+from gmdx.machine.packages import RESULTS, versions
 from gmdx.machine.processes import Crash, run_tasks
+from gmdx.machine.progress import Follower, OnProgress
 from gmdx.objects.prepare import CacheOption, content_hash
 from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pictures.figure import save_figure
@@ -74,22 +75,12 @@ class SensitivityConfig:
         parameters_named(self.parameters)
 
 
-@dataclass(frozen=True)
-class StudyProgress:
-    """Where a study stands."""
-
-    done: int  # runs finished by this call
-    total: int  # runs that were to do
-    object_id: str  # of the last ones
-    trials: int  # simulated by this call
-
-
 def sensitivity_study(
     objects: Sequence[str | Path] | str | Path,
     out: str | Path,
     config: SensitivityConfig | None = None,
     *,
-    on_progress: Callable[[StudyProgress], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> SensitivityStudy:
     """Vary parameters of the trials, and find which ones the labels depend on.
 
@@ -146,7 +137,7 @@ def _run_all(
     sources: Sequence[ObjectSource],
     gripper: Gripper,
     folder: StudyFolder,
-    on_progress: Callable[[StudyProgress], None] | None,
+    on_progress: OnProgress | None,
 ) -> dict[str, str]:
     """Run what is not there yet; the objects that cannot be run, with the reason."""
     done: dict[str, set[int]] = {source.object_id: set() for source in sources}
@@ -168,13 +159,7 @@ def _run_all(
         for object_id, setup in setups.items()
         for chunk in chunks(object_id, setup, design, done=done[object_id], size=_CHUNK)
     ]
-    finished = trials = 0
-
-    def tell(object_id: str) -> None:
-        if on_progress is not None:
-            on_progress(StudyProgress(finished, total, object_id, trials))
-
-    tell("")
+    follower = Follower(total, on_progress)
     workers = min(config.workers, max(len(tasks), 1))
     with contextlib.closing(run_tasks(run_chunk, tasks, workers=workers)) as results:
         for item in results:
@@ -183,9 +168,8 @@ def _run_all(
                 _log.warning("%s: runs %s: %s", chunk.object_id, chunk.runs, item.result)
                 continue
             folder.add(item.result, names)
-            finished += len(item.result)
-            trials += sum(int(row["trials"]) for row in item.result)
-            tell(chunk.object_id)
+            trials = sum(int(row["trials"]) for row in item.result)
+            follower.finished(chunk.object_id, things=len(item.result), count=trials)
     return failures
 
 
@@ -258,10 +242,8 @@ def _settings(
     gripper: Gripper,
 ) -> dict[str, Any]:
     """Everything that the runs depend on."""
-    packages = ["gmdx", "coacd", "mujoco", "numpy", "scipy"]
-    packages += [] if config.method == "oat" else ["SALib"]
+    own = () if config.method == "oat" else ("SALib",)
     return {
-        "study": "sensitivity",
         "method": config.method,
         "runs": config.runs,
         "grasps": config.grasps,
@@ -270,7 +252,7 @@ def _settings(
         "gripper": gripper_record(gripper),
         "parameters": {parameter.name: parameter.record() for parameter in parameters},
         "objects": {source.object_id: content_hash(source.path) for source in sources},
-        "packages": {name: version(name) for name in packages},
+        "packages": versions((*RESULTS, *own)),
     }
 
 

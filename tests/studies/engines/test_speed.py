@@ -15,10 +15,11 @@ from gmdx.cli.bench_trials import show_speed
 from gmdx.cli.main import main
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.sample import sample_grasps
+from gmdx.machine.progress import Progress
 from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.scene import Scene
 from gmdx.studies.engines.machine import compilations, machine, peak_device_memory
-from gmdx.studies.engines.runs import RunFailure, RunProgress, run_apart
+from gmdx.studies.engines.runs import RunFailure, run_apart
 from gmdx.studies.engines.speed import trial_figures
 from gmdx.trials.outcome import Outcome
 from gmdx.trials.run import run_trials
@@ -73,7 +74,7 @@ def test_the_trials_of_all_objects_are_counted_as_they_run_alone(scenes: list[Sc
 
 def test_ratios_compare_with_the_first_engine(scenes: list[Scene]) -> None:
     pytest.importorskip("pybullet", reason="the second engine is not installed")
-    told: list[RunProgress] = []
+    told: list[Progress] = []
     speed = trial_figures(
         scenes,
         grasps=2,
@@ -87,10 +88,10 @@ def test_ratios_compare_with_the_first_engine(scenes: list[Scene]) -> None:
     assert second.ratio == pytest.approx(second.trials_per_second / first.trials_per_second)
     assert first.trials == second.trials == 4
     assert (first.threads, second.threads) == (1, None)
-    assert [(at.label, at.done, at.total) for at in told] == [
+    assert [(at.name, at.done, at.total) for at in told] == [
         ("", 0, 2), ("mujoco", 1, 2), ("bullet", 2, 2),
     ]  # fmt: skip
-    assert told[-1].trials == 2 * (first.trials + second.trials)
+    assert told[-1].count == 2 * (first.trials + second.trials)
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from gmdx.cli.main import main
-from gmdx.dataset.store import OutputError
 from gmdx.errors import SceneError, UsageError
+from gmdx.files.folder import OutputError
+from gmdx.machine.progress import Progress
 from gmdx.studies.sensitivity.figures import mean_curve
 from gmdx.studies.sensitivity.indices import make_design
 from gmdx.studies.sensitivity.parameters import PARAMETERS
@@ -21,7 +22,6 @@ from gmdx.studies.sensitivity.runs import BASELINE, OUTPUTS
 from gmdx.studies.sensitivity.study import (
     SensitivityConfig,
     SensitivityStudy,
-    StudyProgress,
     sensitivity_study,
 )
 from tests.runs import Command, needs_proc, write_meshes
@@ -134,7 +134,7 @@ def test_interrupted_study_ends_with_the_same_bytes(
 ) -> None:
     out = tmp_path / "study"
 
-    def stop(at: StudyProgress) -> None:
+    def stop(at: Progress) -> None:
         if at.done >= 8:
             raise KeyboardInterrupt
 
@@ -142,7 +142,7 @@ def test_interrupted_study_ends_with_the_same_bytes(
         with pytest.raises(KeyboardInterrupt):
             sensitivity_study(meshes, out, small(cache), on_progress=stop)
     assert not (out / "runs.parquet").exists()
-    seen: list[StudyProgress] = []
+    seen: list[Progress] = []
     sensitivity_study(meshes, out, small(cache, workers=2), on_progress=seen.append)
     assert 0 < seen[0].total == seen[-1].done < len(morris.runs)
     assert contents(out) == contents(morris.root)
