@@ -5,6 +5,7 @@ places that break it; crafted houses show that each rule sees what it is there f
 """
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -200,6 +201,14 @@ def test_at_most_three_see_everything() -> None:
 def test_kernels_and_assets_import_nothing_from_gmdx() -> None:
     for house in (KERNELS, ASSETS):
         assert [told(i) for i in house.imports if i.target.split(".")[0] == "gmdx"] == []
+
+
+def test_the_map_shows_the_rooms_in_their_order() -> None:
+    text = (ROOT / "docs" / "house.md").read_text()
+    shown = re.findall(r"^  (\w+)/ ", text, re.MULTILINE)
+    assert shown == [name for name in ROOMS if (ROOT / "gmdx" / name).is_dir()]
+    for family in families(HOUSE):
+        assert f"{family.rpartition('.')[2]}/" in text, family
 
 
 def built(root: Path, files: Mapping[str, str]) -> House:
