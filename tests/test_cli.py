@@ -10,7 +10,7 @@ import pytest
 
 from gmdx.cli.main import Generate, main
 from gmdx.cli.terminal import interrupts_kept
-from gmdx.dataset.store import PARTIAL
+from gmdx.files.folder import PARTIAL
 from gmdx.metrics.table import METRICS
 from gmdx.pipeline.generate import GenerateConfig
 from tests.runs import (
