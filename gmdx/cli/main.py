@@ -17,7 +17,8 @@ from gmdx.cli import bench, bench_parity, bench_trials
 from gmdx.cli.terminal import complain, console, following, interrupts_kept, say
 from gmdx.config import as_toml, load_toml, merge
 from gmdx.errors import GmdxError, GripperError, UsageError
-from gmdx.machine.processes import THREAD_VARIABLES, available_cores, run_tasks
+from gmdx.machine.cores import THREAD_VARIABLES, available_cores
+from gmdx.machine.tasks import run_tasks
 
 if TYPE_CHECKING:
     from gmdx.objects.sources import ObjectSource

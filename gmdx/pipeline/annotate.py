@@ -14,7 +14,7 @@ from gmdx.dataset.costs import cost_record
 from gmdx.dataset.write import ObjectWriter
 from gmdx.errors import Failure, SceneError
 from gmdx.machine.clock import added
-from gmdx.machine.processes import return_freed_memory
+from gmdx.machine.memory import return_freed_memory
 from gmdx.metrics.quality import Evidence
 from gmdx.objects.model import ObjectModel
 from gmdx.pipeline.stages import (

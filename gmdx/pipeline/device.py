@@ -6,16 +6,14 @@ batches are made of objects in the order in which they come, and no result depen
 
 import contextlib
 import logging
-import queue
-import threading
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 from gmdx.errors import GmdxError
 from gmdx.machine.clock import Seconds
-from gmdx.machine.processes import LATER, Finished, Later, run_tasks
+from gmdx.machine.executor import Crash, Executor, Finished, Inbox, ThreadExecutor
+from gmdx.machine.tasks import open_executor
 from gmdx.pipeline.annotate import finish, set_up
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.pipeline.stages import (
@@ -32,7 +30,8 @@ from gmdx.trials.results import TrialResults
 from gmdx.trials.run import run_trials
 
 _LOG = logging.getLogger("gmdx")
-_PATIENCE = 30.0  # s, for the device's thread to end at its next look when a run is broken off
+
+_TryAll = Callable[[Sequence[ReadyObject]], Sequence[TriedObject | ObjectOutcome]]
 
 
 def annotate_in_batches(
@@ -48,26 +47,131 @@ def annotate_in_batches(
     engine = open_engine(config.engine, parallel_trials=config.parallel_trials)
     if not isinstance(engine, ParallelEngine):
         raise ValueError(f"engine {config.engine} has no trials side by side")
-    device = _Device(engine, config)
     _LOG.info("trials run on %s", engine.version)
-    schedule = _Schedule(tasks, device)
-    # What is not known yet is no task that a worker sees.
-    stream = cast(Iterator[Task | TriedObject], schedule.next_tasks())
-    try:
-        with contextlib.closing(run_tasks(_on_host, stream, workers=workers)) as items:
-            for item in items:
-                ended = schedule.take(item)
-                if ended is not None:
-                    yield ended
-                yield from schedule.failed()
-        yield from schedule.failed()
-    finally:
-        device.close()
+    trials = config.scenes * config.grasps * config.trials
+    batch = min(max(1, -(-engine.wanted_trials // trials)), MOST_OBJECTS)
+    inbox = Inbox()
+    with (
+        contextlib.closing(
+            ThreadExecutor(inbox, name="gmdx trials", cancel=engine.cancel)
+        ) as device,
+        contextlib.closing(open_executor(inbox, workers=workers)) as host,
+    ):
+        yield from schedule(tasks, _Trials(engine, config), inbox, host, device, batch=batch)
 
 
-def _on_host(task: Task | TriedObject) -> ReadyObject | ObjectOutcome:
-    """What a worker process does: everything before an object's trials, or everything after."""
-    return set_up(task) if isinstance(task, Task) else finish(task)
+def schedule(
+    tasks: Iterator[Task],
+    try_all: _TryAll,
+    inbox: Inbox,
+    host: Executor,
+    device: Executor,
+    *,
+    batch: int,
+) -> Generator[Finished[Task, ObjectOutcome], None, None]:
+    """Keep host and device at work: a batch is made while one is on the device.
+
+    Args:
+        tasks: An object each, drawn as they are needed.
+        try_all: Runs a batch's trials on the device.
+        inbox: Of both executors.
+        host: Does what comes before the trials and after them.
+        device: Runs the trials.
+        batch: Objects of a full batch.
+    """
+    coming = next(tasks, None)
+    setting_up = finishing = on_device = 0  # objects
+    ready: list[ReadyObject] = []  # for the next batch
+    tried: deque[TriedObject] = deque()  # to be finished
+    while True:
+        all_ready = coming is None and setting_up == 0
+        if on_device == 0 and ready and (len(ready) >= batch or all_ready):
+            device.give(try_all, ready)
+            on_device, ready = len(ready), []
+
+        while setting_up + finishing < host.places:
+            if tried:  # first, as it frees memory
+                host.give(finish, tried.popleft())
+                finishing += 1
+            elif coming is not None and setting_up + len(ready) < batch:
+                host.give(set_up, coming)
+                setting_up += 1
+                coming = next(tasks, None)
+            else:
+                break
+
+        if setting_up + finishing + on_device == 0:
+            return
+        done = inbox.take()
+        match done.task, done.result:
+            case Task(), ReadyObject() as found:
+                setting_up -= 1
+                ready.append(found)
+            case Task() as task, found:
+                setting_up -= 1
+                yield Finished(task, done.attempt, found)
+            case TriedObject(task=task), found:
+                finishing -= 1
+                yield Finished(task, done.attempt, found)
+            case objects, Crash() as crash:
+                on_device = 0
+                for obj in objects:
+                    yield Finished(obj.task, done.attempt, crash)
+            case objects, outcomes:
+                on_device = 0
+                for obj, found in zip(objects, outcomes, strict=True):
+                    if isinstance(found, TriedObject):
+                        tried.append(found)
+                    else:
+                        yield Finished(obj.task, done.attempt, found)
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """What the device does with a batch."""
+
+    engine: ParallelEngine
+    config: GenerateConfig
+
+    def __call__(self, batch: Sequence[ReadyObject]) -> list[TriedObject | ObjectOutcome]:
+        """Trials of all objects at once; if that fails, of one after the other, to find out why.
+
+        Raises:
+            Exception: Everything failed, and not by an error of our own: the device is lost.
+        """
+        found = self._together(batch)
+        if not isinstance(found, Exception):
+            return [_tried(*pair) for pair in zip(batch, found, strict=True)]
+        if len(batch) == 1:
+            return [_untried(batch[0], found)]
+        _LOG.warning("a batch of %d objects failed: %s; each alone now", len(batch), str(found))
+        alone = [self._together([ready]) for ready in batch]
+        if all(isinstance(one, Exception) and not isinstance(one, GmdxError) for one in alone):
+            raise found
+        return [
+            _untried(ready, one) if isinstance(one, Exception) else _tried(ready, one[0])
+            for ready, one in zip(batch, alone, strict=True)
+        ]
+
+    def _together(self, batch: Sequence[ReadyObject]) -> list[list[TrialResults]] | Exception:
+        """Each object's results in one call, or the error without what it holds on the device."""
+        scenes = [at for ready in batch for at in ready.scenes]
+        try:
+            results = run_trials(
+                [at.scene for at in scenes],
+                [at.grasps for at in scenes],
+                self.engine,
+                trials=self.config.trials,
+                gripper=batch[0].task.gripper,
+                config=self.config.trial,
+            )
+        except Cancelled:
+            raise
+        except Exception as error:
+            _LOG.debug("trials failed", exc_info=error)
+            return error.with_traceback(None)
+        found = iter(results)
+        return [[next(found) for _ in ready.scenes] for ready in batch]
 
 
 def _tried(ready: ReadyObject, results: Sequence[TrialResults]) -> TriedObject:
@@ -81,168 +185,7 @@ def _tried(ready: ReadyObject, results: Sequence[TrialResults]) -> TriedObject:
     return TriedObject(ready.task, ready.object, scenes, ready.failures, seconds)
 
 
-@dataclass(frozen=True)
-class _Batch:
-    """Objects whose trials run together, and then what came of them."""
-
-    objects: Sequence[tuple[Task, ReadyObject]]
-    results: Sequence[tuple[TrialResults, ...] | Exception] = ()
-
-
-class _Schedule:
-    """Which host work comes next, so that neither host nor device waits where it need not."""
-
-    def __init__(self, tasks: Iterator[Task], device: "_Device") -> None:
-        self._tasks, self._device = tasks, device
-        self._more = True  # tasks to begin
-        self._beginning = self._on_device = 0  # objects
-        self._ready: list[tuple[Task, ReadyObject]] = []
-        self._tried: deque[TriedObject] = deque()
-        self._finishing = 0
-        self._failed: list[Finished[Task, ObjectOutcome]] = []
-
-    def next_tasks(self) -> Iterator[Task | TriedObject | Later]:
-        """Finishing comes first, as it frees memory; then a batch is made while one is running."""
-        while True:
-            self._collect()
-            self._hand_over()
-            if self._tried:
-                self._finishing += 1
-                yield self._tried.popleft()
-                continue
-            if self._more and self._beginning + len(self._ready) < self._device.objects:
-                task = next(self._tasks, None)
-                self._more = task is not None
-                if task is not None:
-                    self._beginning += 1
-                    yield task
-                continue
-            if not (self._more or self._beginning or self._on_device or self._finishing):
-                return
-            yield LATER
-
-    def take(
-        self, item: Finished[Task | TriedObject, ReadyObject | ObjectOutcome]
-    ) -> Finished[Task, ObjectOutcome] | None:
-        """Note what a worker did; the end of an object, where it was that."""
-        if isinstance(item.task, Task):
-            self._beginning -= 1
-            if isinstance(item.result, ReadyObject):
-                self._ready.append((item.task, item.result))
-                return None
-            return Finished(item.task, item.result)
-        self._finishing -= 1
-        if isinstance(item.result, ReadyObject):
-            raise TypeError("an object was begun again instead of finished")
-        return Finished(item.task.task, item.result)
-
-    def failed(self) -> Iterator[Finished[Task, ObjectOutcome]]:
-        """Objects whose trials could not be run."""
-        while self._failed:
-            yield self._failed.pop()
-
-    def _hand_over(self) -> None:
-        """Give the device what is ready, when it is a full batch or all that there will be."""
-        last = not self._more and not self._beginning
-        full = len(self._ready) >= self._device.objects
-        if self._ready and self._on_device == 0 and (full or last):
-            self._on_device = len(self._ready)
-            self._device.give(_Batch(self._ready))
-            self._ready = []
-
-    def _collect(self) -> None:
-        """Take finished batches from the device."""
-        batch = self._device.take()
-        if batch is None:
-            return
-        self._on_device -= len(batch.objects)
-        for (task, begun), result in zip(batch.objects, batch.results, strict=True):
-            if isinstance(result, Exception):
-                why = failure(task.source.object_id, None, "trials", result)
-                self._failed.append(Finished(task, lost(*begun.failures, why)))
-            else:
-                self._tried.append(_tried(begun, result))
-
-
-class _Device:
-    """A thread that runs one batch after the other."""
-
-    def __init__(self, engine: ParallelEngine, config: GenerateConfig) -> None:
-        self.engine, self._config = engine, config
-        trials = config.scenes * config.grasps * config.trials
-        self.objects = min(max(1, -(-engine.wanted_trials // trials)), MOST_OBJECTS)  # a batch
-        self._given: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
-        self._done: queue.SimpleQueue[_Batch | BaseException] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._serve, name="gmdx trials", daemon=True)
-        self._thread.start()
-
-    def give(self, batch: _Batch) -> None:
-        """Queue a batch."""
-        self._given.put(batch)
-
-    def take(self) -> _Batch | None:
-        """A batch that is done, if there is one."""
-        try:
-            found = self._done.get_nowait()
-        except queue.Empty:
-            return None
-        if isinstance(found, BaseException):
-            raise found
-        return found
-
-    def close(self) -> None:
-        """End the thread: at once where it has nothing to do, else at its next chunk of steps."""
-        self.engine.cancel()
-        self._given.put(None)
-        self._thread.join(timeout=_PATIENCE)
-
-    def _serve(self) -> None:
-        while (batch := self._given.get()) is not None:
-            try:
-                self._done.put(_Batch(batch.objects, self._run(batch.objects)))
-            except Cancelled:
-                return
-            except BaseException as error:  # the caller's thread raises it
-                self._done.put(error)
-                return
-
-    def _run(
-        self, objects: Sequence[tuple[Task, ReadyObject]]
-    ) -> Sequence[tuple[TrialResults, ...] | Exception]:
-        """Trials of all objects at once; if that fails, of one after the other, to find out why.
-
-        Raises:
-            Exception: Everything failed, and not by an error of our own: the device is lost.
-        """
-        found = self._together(objects)
-        if not isinstance(found, Exception):
-            return found
-        if len(objects) == 1:
-            return [found]
-        _LOG.warning("a batch of %d objects failed: %s; each alone now", len(objects), str(found))
-        alone = [self._together([item]) for item in objects]
-        if all(isinstance(one, Exception) and not isinstance(one, GmdxError) for one in alone):
-            raise found
-        return [one if isinstance(one, Exception) else one[0] for one in alone]
-
-    def _together(
-        self, objects: Sequence[tuple[Task, ReadyObject]]
-    ) -> Sequence[tuple[TrialResults, ...]] | Exception:
-        """Trials in one call, or the error without what it refers to on the device."""
-        pairs = [(at.scene, at.grasps) for _, begun in objects for at in begun.scenes]
-        try:
-            results = run_trials(
-                [scene for scene, _ in pairs],
-                [grasps for _, grasps in pairs],
-                self.engine,
-                trials=self._config.trials,
-                gripper=objects[0][0].gripper,
-                config=self._config.trial,
-            )
-        except Cancelled:
-            raise
-        except Exception as error:
-            _LOG.debug("trials failed", exc_info=error)
-            return error.with_traceback(None)
-        found = iter(results)
-        return [tuple(next(found) for _ in begun.scenes) for _, begun in objects]
+def _untried(ready: ReadyObject, error: Exception) -> ObjectOutcome:
+    """The outcome of an object whose trials cannot be run."""
+    why = failure(ready.task.source.object_id, None, "trials", error)
+    return lost(*ready.failures, why)

@@ -13,9 +13,10 @@ from gmdx.dataset.store import DatasetStore
 from gmdx.errors import Failure
 from gmdx.files.folder import OutputError
 from gmdx.files.formats import read_json
+from gmdx.machine.executor import Crash, Finished
 from gmdx.machine.packages import RESULTS, kernel_packages, versions
-from gmdx.machine.processes import Crash, Finished, run_tasks
 from gmdx.machine.progress import Follower, OnProgress
+from gmdx.machine.tasks import run_tasks
 from gmdx.objects.prepare import content_hash
 from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pipeline.annotate import annotate

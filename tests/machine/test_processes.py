@@ -1,19 +1,24 @@
 """Processes that work, fail, crash and are left behind."""
 
+import contextlib
 import logging
 import multiprocessing
 import os
+import resource
 import signal
+import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
 
 import pytest
 
-from gmdx.errors import DatasetError
-from gmdx.machine.processes import LATER, THREAD_VARIABLES, Crash, Finished, run_tasks
+from gmdx.errors import DatasetError, UsageError
+from gmdx.machine.cores import THREAD_VARIABLES
+from gmdx.machine.executor import Crash, Finished, Inbox, ThreadExecutor
+from gmdx.machine.processes import WorkerError
+from gmdx.machine.tasks import open_executor, run_tasks
 from tests.runs import interrupts_heard
 
 
@@ -38,6 +43,32 @@ def refuse(x: int) -> int:
 
 def threads(_: int) -> list[str | None]:
     return [os.environ.get(name) for name in THREAD_VARIABLES]
+
+
+def die_once(marker: Path) -> str:
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def send_much(note: Path | None) -> bytes:
+    """A result that no pipe holds, after a note of who sends it."""
+    if note is None:
+        return b""
+    result = bytes(50_000_000)
+    note.write_text(f"{os.getpid()}.")
+    return result
+
+
+def unsendable(x: int) -> object:
+    if x:
+        raise ValueError("bad", lambda: None)
+    return lambda: None
+
+
+def own_pid(_: int) -> int:
+    return os.getpid()
 
 
 def sleep_long(_: int) -> int:
@@ -68,37 +99,127 @@ def test_every_task_is_done_once(workers: int) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_tasks_can_follow_from_results(workers: int) -> None:
-    """Every number begets its half, which the stream of tasks learns from the results."""
-    known, open_tasks, seen = [40, 7], 0, []
-
-    def tasks() -> Iterator[int]:
-        nonlocal open_tasks
-        while known or open_tasks:
-            if not known:
-                yield cast(int, LATER)
-                continue
-            open_tasks += 1
-            yield known.pop()
-
-    for item in run_tasks(double, tasks(), workers=workers):
-        open_tasks -= 1
-        assert item.result == 2 * item.task
-        seen.append(item.task)
-        if item.task > 1:
-            known.append(item.task // 2)
+    """Every number begets its half."""
+    inbox, known, seen = Inbox(), [40, 7], []
+    given: dict[int, int] = {}
+    with contextlib.closing(open_executor(inbox, workers=workers)) as executor:
+        while known or given:
+            while known and len(given) < executor.places:
+                task = known.pop()
+                given[executor.give(double, task)] = task
+            done = inbox.take()
+            assert done.task == given.pop(done.attempt)
+            assert done.result == 2 * done.task
+            seen.append(done.task)
+            if done.task > 1:
+                known.append(done.task // 2)
     assert sorted(seen) == sorted([40, 20, 10, 5, 2, 1, 7, 3, 1])
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_attempts_are_numbered_also_those_at_one_task(workers: int) -> None:
+    done = list(run_tasks(double, [5] * 6, workers=workers))
+    assert sorted(item.attempt for item in done) == [1, 2, 3, 4, 5, 6]
+
+
+def test_an_attempt_that_died_is_named_and_the_next_one_can_succeed(tmp_path: Path) -> None:
+    marker, inbox = tmp_path / "tried", Inbox()
+    with contextlib.closing(open_executor(inbox, workers=2)) as executor:
+        first = executor.give(die_once, marker)
+        died = inbox.take()
+        second = executor.give(die_once, marker)
+        done = inbox.take()
+    assert (died.attempt, done.attempt) == (first, second)
+    assert isinstance(died.result, Crash)
+    assert (died.result.exit_code, done.result) == (-signal.SIGKILL, "done")
+    assert second > first
+
+
+def test_results_of_a_thread_arrive_at_the_same_wait() -> None:
+    inbox, free = Inbox(), threading.Event()
+    with (
+        contextlib.closing(ThreadExecutor(inbox, name="device", cancel=free.set)) as thread,
+        contextlib.closing(open_executor(inbox, workers=2)) as processes,
+    ):
+        waiting = thread.give(free.wait, None)
+        doubled = processes.give(double, 4)
+        assert inbox.take() == Finished(4, doubled, 8)
+        threading.Timer(0.2, free.set).start()
+        assert inbox.take() == Finished(None, waiting, True)
+        thread.give(refuse, 3)
+        with pytest.raises(DatasetError, match="task 3 is refused"):
+            inbox.take()
+
+
+def test_many_results_can_wait_to_be_taken() -> None:
+    inbox = Inbox()
+    executor = open_executor(inbox, workers=1)
+    numbers = [executor.give(double, k) for k in range(2000)]
+    assert [inbox.take().attempt for _ in numbers] == numbers
+
+
+def test_waiting_costs_nothing() -> None:
+    """Processor time and wake-ups of the caller, while two workers sleep for two seconds.
+
+    A look every 20 ms would be 100 wake-ups.
+    """
+    with contextlib.closing(run_tasks(time.sleep, [0.0, 0.0, 2.0, 2.0], workers=2)) as running:
+        next(running), next(running)  # they have started
+        before = resource.getrusage(resource.RUSAGE_THREAD)
+        next(running)
+        after = resource.getrusage(resource.RUSAGE_THREAD)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert spent < 0.2
+    assert after.ru_nvcsw - before.ru_nvcsw < 50
+
+
+def test_an_unknown_executor_is_refused() -> None:
+    with pytest.raises(UsageError, match="unknown executor 'ray'; give one of serial, processes"):
+        open_executor(Inbox(), workers=2, name="ray")
+
+
+def test_one_worker_can_be_a_process_of_its_own() -> None:
+    (item,) = run_tasks(own_pid, [0], workers=1, executor="processes")
+    assert item.result != os.getpid()
 
 
 def test_a_crash_costs_one_task() -> None:
     found = {item.task: item.result for item in run_tasks(die, range(8), workers=2)}
     assert {task: found[task] for task in (0, 2, 4, 6, 7)} == {0: 0, 2: 4, 4: 8, 6: 12, 7: 14}
-    assert found[1] == Crash(-signal.SIGKILL)
+    crashes = {task: found[task] for task in (1, 3, 5)}
+    assert {
+        task: crash.exit_code for task, crash in crashes.items() if isinstance(crash, Crash)
+    } == {1: -signal.SIGKILL, 3: 7, 5: -signal.SIGSEGV}
     assert "SIGKILL" in str(found[1])
     assert "memory" in str(found[1])
-    assert found[3] == Crash(7)
     assert "code 7" in str(found[3])
-    assert found[5] == Crash(-signal.SIGSEGV)
+    assert "SIGSEGV" in str(found[5])
+
+
+def test_a_worker_that_dies_while_it_sends_its_result_costs_one_task(tmp_path: Path) -> None:
+    """Nobody listens while we have the first result, so it is in the middle of sending."""
+    note = tmp_path / "pid"
+    with contextlib.closing(run_tasks(send_much, [None, note, None], workers=2)) as running:
+        assert next(running).task is None
+        end = time.monotonic() + 60
+        while not (note.exists() and note.read_text().endswith(".")):
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        time.sleep(0.5)
+        os.kill(int(note.read_text()[:-1]), signal.SIGKILL)
+        rest = {item.task: item.result for item in running}
+    crash = rest[note]
+    assert isinstance(crash, Crash)
+    assert crash.exit_code == -signal.SIGKILL
+    assert rest[None] == b""
+
+
+def test_what_cannot_be_handed_over_is_an_error_that_says_so() -> None:
+    with pytest.raises(Exception, match=r"(?i)pickle"):
+        list(run_tasks(unsendable, [0], workers=1, executor="processes"))
+    with pytest.raises(WorkerError, match=r"ValueError: .*bad.* cannot be handed over"):
+        list(run_tasks(unsendable, [1], workers=1, executor="processes"))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -147,11 +268,9 @@ def sleep_or_double(x: int) -> int:
 @pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
 def test_workers_do_not_outlive_a_killed_caller(tmp_path: Path) -> None:
     """Nor do the processes that they have started."""
-    import subprocess
-
     (tmp_path / "orphans.py").write_text(
         "import os, subprocess, sys, time\n"
-        "from gmdx.machine.processes import run_tasks\n"
+        "from gmdx.machine.tasks import run_tasks\n"
         "def work(x):\n"
         "    child = subprocess.Popen(['sleep', '600'])\n"
         "    open(f'{x}.pid', 'w').write(f'{os.getpid()} {child.pid}')\n"
@@ -176,11 +295,9 @@ def test_workers_do_not_outlive_a_killed_caller(tmp_path: Path) -> None:
 
 def test_workers_that_are_still_starting_take_ctrl_c_in_silence(tmp_path: Path) -> None:
     """A terminal sends it to all of them."""
-    import subprocess
-
     (tmp_path / "interrupted.py").write_text(
         "import os, sys, time\n"
-        "from gmdx.machine.processes import run_tasks\n"
+        "from gmdx.machine.tasks import run_tasks\n"
         "open(f'{os.getpid()}.pid', 'w').close()\n"
         "if __name__ == '__main__':\n"
         "    try:\n"
@@ -215,10 +332,8 @@ def alive(pid: int) -> bool:
 
 
 def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
-    import subprocess
-
     (tmp_path / "script.py").write_text(
-        "import math\nfrom gmdx.machine.processes import run_tasks\n"
+        "import math\nfrom gmdx.machine.tasks import run_tasks\n"
         "print(list(run_tasks(math.sqrt, [1.0, 4.0], workers=2)))\n"
     )
     done = subprocess.run(

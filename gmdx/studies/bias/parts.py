@@ -7,9 +7,10 @@ from typing import Any
 
 from gmdx.errors import Failure
 from gmdx.files.folder import Kind, RunFolder
+from gmdx.machine.executor import Crash
 from gmdx.machine.packages import RESULTS, kernel_packages, versions
-from gmdx.machine.processes import Crash, run_tasks
 from gmdx.machine.progress import Follower, OnProgress
+from gmdx.machine.tasks import run_tasks
 from gmdx.metrics.compute import MetricConfig
 from gmdx.studies.bias.replay import Replay, replay
 from gmdx.trials.engines import ENGINES

@@ -4,8 +4,8 @@ import platform
 from dataclasses import dataclass
 from pathlib import Path
 
+from gmdx.machine.cores import available_cores
 from gmdx.machine.packages import versions_installed
-from gmdx.machine.processes import available_cores
 
 _PACKAGES = (
     "gmdx", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "jax", "jaxlib", "pybullet",

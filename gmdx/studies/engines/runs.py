@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from gmdx.errors import GmdxError, UsageError
-from gmdx.machine.processes import Crash, run_tasks
+from gmdx.machine.executor import Crash
+from gmdx.machine.tasks import run_tasks
 from gmdx.trials.engines import ENGINES, choose, open_engine
 
 _LOG = logging.getLogger("gmdx")
@@ -51,7 +52,8 @@ def run_apart(
     job = _Job(label, function, task, _LOG.getEffectiveLevel())
     if not isolated:
         return _attempt(job)
-    with contextlib.closing(run_tasks(_attempt_aloud, [job], workers=2)) as finished:
+    apart = run_tasks(_attempt_aloud, [job], workers=1, executor="processes")
+    with contextlib.closing(apart) as finished:
         result = next(finished).result
     if isinstance(result, Crash):
         _LOG.warning("%s failed: %s", label, result)

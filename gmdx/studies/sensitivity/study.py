@@ -17,9 +17,10 @@ import numpy as np
 
 from gmdx.errors import GmdxError, SceneError, UsageError
 from gmdx.files.formats import json_text, write_text
+from gmdx.machine.executor import Crash
 from gmdx.machine.packages import RESULTS, versions
-from gmdx.machine.processes import Crash, run_tasks
 from gmdx.machine.progress import Follower, OnProgress
+from gmdx.machine.tasks import run_tasks
 from gmdx.objects.prepare import CacheOption, content_hash
 from gmdx.objects.sources import ObjectSource, resolve
 from gmdx.pictures.figure import save_figure
