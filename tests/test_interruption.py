@@ -59,7 +59,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[..., No
     root = tmp_path_factory.mktemp("inputs")
     meshes, cache = root / "meshes", root / "cache"
     write_meshes(meshes, 2)
-    (meshes / "broken.stl").write_bytes(b"solid, but nothing follows")
+    for name in ("cracked.stl", "dented.stl"):
+        (meshes / name).write_bytes(b"solid, but nothing follows")
     make_dataset(meshes, cache, root / "dataset")
     return {
         "dataset": partial(make_dataset, meshes, cache),

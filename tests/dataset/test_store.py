@@ -206,6 +206,19 @@ def test_damage_in_failures_is_named_but_a_cut_last_line_is_not_damage(tmp_path:
         read_failures(tmp_path)
 
 
+def test_a_line_that_a_kill_cut_is_gone_before_others_follow(tmp_path: Path) -> None:
+    lost = [Failure(name, None, "prepare", "MeshError", "no faces") for name in ("cup", "jug")]
+    path = tmp_path / schema.FAILURES_FILE
+    with DatasetStore(tmp_path, HEADER) as kept:
+        kept.record(lost)
+    path.write_text(path.read_text()[:-20])
+    with DatasetStore(tmp_path, HEADER) as kept:
+        kept.record(lost[1:])
+        kept.record(lost[1:])
+        kept.finish([], sources=set())
+    assert read_failures(tmp_path) == lost
+
+
 def test_ply_reads_back_exactly_here_and_elsewhere(tmp_path: Path) -> None:
     import trimesh
 

@@ -246,6 +246,27 @@ def test_without_locks_the_log_says_so_and_each_run_removes_its_own(
     assert {path.name for path in (tmp_path / PARTIAL).iterdir()} == {"run-killed", "lock"}
 
 
+def test_a_lock_on_a_file_that_its_holder_has_just_removed_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One opens the file, another who holds it removes it and lets go, then the one locks it."""
+    path = tmp_path / "partial" / "lock"
+    first, flock = FileLock(path), fcntl.flock
+
+    def late(descriptor: int, operation: int) -> None:
+        monkeypatch.undo()
+        first.release()
+        path.parent.rmdir()
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    second = FileLock(path)
+    with pytest.raises(LockedError, match=f"process {os.getpid()}"):
+        FileLock(path)
+    second.release()
+    FileLock(path).release()
+
+
 def _take_and_give_back(path: Path, rounds: int, taken: "multiprocessing.Queue[int]") -> None:
     """Hold the lock again and again; a mark that is there already says that another holds it."""
     count = 0
@@ -268,7 +289,7 @@ def test_only_one_of_many_ever_holds_a_lock(tmp_path: Path) -> None:
     """Though its file, and the folder of it, come and go."""
     context = multiprocessing.get_context("spawn")
     taken: multiprocessing.Queue[int] = context.Queue()
-    arguments = (tmp_path / "partial" / "lock", 400, taken)
+    arguments = (tmp_path / "partial" / "lock", 200, taken)
     crowd = [context.Process(target=_take_and_give_back, args=arguments) for _ in range(3)]
     for one in crowd:
         one.start()
