@@ -21,8 +21,11 @@ def refresh(text: Path) -> Path:
     notebook = jupytext.read(text)
     for i, cell in enumerate(notebook.cells):
         cell["id"] = f"{text.stem}-{i}"  # the same from run to run
-    client = NotebookClient(notebook, timeout=600, kernel_name="python3", record_timing=False)
-    client.execute()
+    # Where it is run stands the code that serves it alone.
+    there = {"metadata": {"path": str(text.resolve().parent)}}
+    NotebookClient(
+        notebook, timeout=600, kernel_name="python3", record_timing=False, resources=there
+    ).execute()
     shared = ("jupytext", "kernelspec", "language_info")
     notebook.metadata = {name: notebook.metadata[name] for name in shared}
     del notebook.metadata["language_info"]["version"]  # another Python shows the same

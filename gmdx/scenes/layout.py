@@ -6,27 +6,13 @@ import mujoco
 
 from gmdx.scenes.gripper import Gripper
 
-OBJECT = "object"
-
-
-TABLE = "table"
-
-
-MOUNT = "mount"
-
-
+OBJECT, TABLE, MOUNT = "object", "table", "mount"
 PREFIX = "gripper/"
 
-
-OBJECT_QPOS, OBJECT_QVEL = slice(0, 7), slice(0, 6)
-
-
+OBJECT_QPOS = slice(0, 7)
 HEIGHT_QPOS, HEIGHT_QVEL = 7, 6
 
-
 PAD_SLOTS = 12  # contacts kept for each pad
-
-
 SLOT_SIZE = 11  # numbers in a pad's slot
 
 

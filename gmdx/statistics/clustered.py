@@ -22,11 +22,6 @@ class Interval:
     clusters: int
     method: Method  # "t": too few clusters differ to resample; "none": no spread between clusters
 
-    @property
-    def excludes_zero(self) -> bool:
-        """Whether the mean differs from 0 by more than chance explains."""
-        return bool(self.low > 0 or self.high < 0)
-
 
 def clustered_mean(
     values: Float[Array, "n"],

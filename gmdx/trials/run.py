@@ -1,6 +1,5 @@
 """Running trials: one entry for every engine."""
 
-import logging
 import time
 from collections.abc import Sequence
 from typing import overload
@@ -16,8 +15,6 @@ from gmdx.trials.engines import DEFAULT_ENGINE, Engine, open_engine
 from gmdx.trials.placement import RawTrials, TrialBatch, check_alike, place, to_world
 from gmdx.trials.protocol import TRIALS, TrialConfig
 from gmdx.trials.results import TrialResults
-
-_LOG = logging.getLogger("gmdx")
 
 
 @overload

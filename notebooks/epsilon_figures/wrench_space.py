@@ -10,7 +10,7 @@ from gmdx.arrays import Array, Float, Int
 from gmdx.errors import ConfigError, MetricError
 from gmdx.metrics.epsilon import Epsilon, directional_strength, epsilon
 from gmdx.metrics.epsilon.wrench import tangents
-from gmdx.studies.epsilon import Contacts, linearised_epsilon, sampled_epsilon
+from gmdx.studies.epsilon import Contacts, HullEpsilon, linearised_epsilon, sampled_epsilon
 
 
 @dataclass(frozen=True)
@@ -129,16 +129,17 @@ def wrench_section(
     axes = slice_axes(contacts, found.direction)
     angle = np.linspace(0.0, 2.0 * np.pi, points + 1)
     directions = np.column_stack([np.cos(angle), np.sin(angle)]) @ axes[:2]
+    grasp = (contacts.points, contacts.normals)
     return WrenchSection(
         epsilon=found,
         angle=angle,
         reach=np.array([_reach(contacts, _unit(d)) for d in directions]),
-        linearised=linearised_epsilon(
-            contacts.points, contacts.normals, **contacts.parameters, edges=edges
-        ).reach(directions),
-        sampled=sampled_epsilon(
-            contacts.points, contacts.normals, **contacts.parameters, samples=samples
-        ).reach(directions),
+        linearised=_hull_reach(
+            linearised_epsilon(*grasp, **contacts.parameters, edges=edges), directions
+        ),
+        sampled=_hull_reach(
+            sampled_epsilon(*grasp, **contacts.parameters, samples=samples), directions
+        ),
         edges=edges,
         samples=samples,
     )
@@ -205,6 +206,14 @@ def _reach(contacts: Contacts, direction: Float[Array, "6"]) -> float:
     return directional_strength(
         contacts.points, contacts.normals, **contacts.parameters, wrench=load
     ).value
+
+
+def _hull_reach(hull: HullEpsilon, directions: Float[Array, "n 6"]) -> Float[Array, "n"]:
+    """How far a hull reaches along unit directions from 0, which must lie inside."""
+    slopes = directions @ hull.facets[:, :6].T
+    with np.errstate(divide="ignore"):
+        cuts = np.where(slopes > 0, -hull.facets[:, 6] / slopes, np.inf)
+    return np.asarray(cuts.min(axis=1))
 
 
 def _unit(v: Float[Array, "6"]) -> Float[Array, "6"]:

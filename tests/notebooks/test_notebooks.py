@@ -99,7 +99,8 @@ def test_it_runs(path: Path) -> None:
     kept, notebook = read(path), read(path)
     for cell in code_cells(notebook):
         cell.outputs, cell.execution_count = [], None
-    NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    there = {"metadata": {"path": str(FOLDER)}}  # beside the code that serves it alone
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources=there).execute()
     assert not failures(notebook)
     assert pictures(notebook) == pictures(kept)
     assert printed(notebook) == printed(kept)  # numbers with as few digits as all machines share

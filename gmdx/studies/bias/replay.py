@@ -34,7 +34,6 @@ logger = logging.getLogger("gmdx")
 
 PARTS_FOLDER = "parts"
 KEY = ("object_id", "scene_id", "grasp_id")
-_COLUMNS = (*(metric.name for metric in COMPARED), "force_is_lower_bound", "valid_trials")
 _LABELS = [outcome.label for outcome in Outcome]
 _OTHER_SEED = 1_000_003  # added to a run's seed: other noise, as reproducible
 

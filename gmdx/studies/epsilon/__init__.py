@@ -4,7 +4,11 @@
 contacts (`random_pairs`, `random_patches`); `patch_figures` shows what patches of contacts change.
 """
 
-from gmdx.studies.epsilon.approximations import linearised_epsilon, sampled_epsilon
+from gmdx.studies.epsilon.approximations import (
+    HullEpsilon,
+    linearised_epsilon,
+    sampled_epsilon,
+)
 from gmdx.studies.epsilon.contacts import Contacts, random_pairs, random_patches
 from gmdx.studies.epsilon.methods import (
     EpsilonFigures,
@@ -18,6 +22,7 @@ __all__ = [
     "Contacts",
     "EpsilonFigures",
     "EpsilonStudyConfig",
+    "HullEpsilon",
     "MethodFigures",
     "epsilon_figures",
     "linearised_epsilon",

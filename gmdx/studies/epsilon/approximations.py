@@ -23,16 +23,7 @@ class HullEpsilon:
 
     value: float  # radius of the largest ball about 0 inside the hull; 0 if 0 is outside
     vertices: Float[Array, "m 6"]  # (force, torque / torque_scale) for unit normal force
-    facets: Float[
-        Array, "f 7"
-    ]  # outward unit normals and, negative, their planes' distances from 0
-
-    def reach(self, directions: Float[Array, "n 6"]) -> Float[Array, "n"]:
-        """How far the hull reaches along unit directions from 0, which must lie inside."""
-        slopes = directions @ self.facets[:, :6].T
-        with np.errstate(divide="ignore"):
-            cuts = np.where(slopes > 0, -self.facets[:, 6] / slopes, np.inf)
-        return np.asarray(cuts.min(axis=1))
+    facets: Float[Array, "f 7"]  # outward unit normals; minus their planes' distances from 0
 
 
 @dataclass(frozen=True)

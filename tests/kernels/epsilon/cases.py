@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gmdx_kernels.epsilon.arrays import Array, Float
 
-_X, _Y, _Z = np.eye(3)
+_X, _Y = np.eye(3)[:2]
 
 
 @dataclass(frozen=True)

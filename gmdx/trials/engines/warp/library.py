@@ -61,7 +61,6 @@ _MESH_CONTENTS = (
     "mesh_polyvertnum",
     "mesh_polymapnum",
 )
-MESH_FIELDS = (*_PER_MESH, *_MESH_ADDRESSES, *_MESH_CONTENTS)
 LARGEST = ("npolygonmax", "nmeshdegmax")  # of any mesh: sizes of the collision's scratch space
 
 # Names, sizes, drawing, and bounding volumes: no step of MuJoCo Warp reads them.
@@ -99,7 +98,7 @@ class Library:
     numbers: Float[Array, "m f"]  # of OF_GEOMS and OF_BODIES
     meshes: Int[Array, "m g"]  # of each geom: -1 for none
     columns: dict[str, slice]  # of each field in `numbers`
-    mesh_arrays: dict[str, Array]  # MESH_FIELDS of all objects' meshes, one after the other
+    mesh_arrays: dict[str, Array]  # by field, of all objects' meshes, one after the other
     largest: dict[str, int]  # LARGEST
 
 
