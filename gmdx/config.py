@@ -34,6 +34,7 @@ from cattrs.gen import make_hetero_tuple_structure_fn
 from gmdx.errors import ConfigError, GmdxError
 
 T = TypeVar("T")
+_NONE = "None"  # in a file
 _WIDTH = 99  # of a line in a printed file
 
 
@@ -51,12 +52,14 @@ def load_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
-def merge(config: T, values: Mapping[str, Any]) -> T:
+def merge(config: T, values: Mapping[str, Any], *, where: str = "") -> T:
     """A copy of `config` (a dataclass) with `values` in place, tables into nested dataclasses.
 
     Args:
         config: The defaults.
-        values: Keys are field names; a nested mapping goes into a nested dataclass.
+        values: Keys are field names; a nested mapping goes into a nested dataclass. The text
+            "None" is None for a field that may be that.
+        where: Dotted path of `config` in the file, for messages.
 
     Raises:
         ConfigError: A key is unknown, a value has the wrong type, or a dataclass refuses it. All
@@ -66,7 +69,7 @@ def merge(config: T, values: Mapping[str, Any]) -> T:
     try:
         return _CONVERTER.structure(merged, type(config))
     except ClassValidationError as error:
-        raise ConfigError("; ".join(_mistakes(error))) from error
+        raise ConfigError("; ".join(_mistakes(error, where))) from error
 
 
 def as_dict(config: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -80,7 +83,8 @@ def as_dict(config: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
 def as_toml(config: Any) -> str:
     """A dataclass as a TOML file that a person can edit: each line with its field's comment.
 
-    An unset value (None) is written as a comment, since TOML has no null.
+    TOML has no null: a value that is None is written as a comment where that is its default, and
+    else as the text "None", which `merge` takes for it.
     """
     document = tomlkit.document()
     _write(document, config)
@@ -130,7 +134,7 @@ def _over(base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     return {**base, **values, **tables}
 
 
-def _mistakes(error: ClassValidationError | IterableValidationError, path: str = "") -> list[str]:
+def _mistakes(error: ClassValidationError | IterableValidationError, path: str) -> list[str]:
     """What cattrs found wrong at `path` and below it, each with its own dotted path."""
     section = f"[{path}]" if path else "the top level"
     placed, own = error.group_exceptions()
@@ -192,7 +196,7 @@ def _union(hint: Any, converter: cattrs.Converter) -> Callable[[Any, Any], Any]:
     hooks = [(converter.get_structure_hook(member), member) for member in members]
 
     def take(value: Any, _: Any) -> Any:
-        if value is None and NoneType in get_args(hint):
+        if NoneType in get_args(hint) and value in (None, _NONE):
             return None
         for hook, member in hooks:
             with contextlib.suppress(Exception):
@@ -249,6 +253,7 @@ def _write(container: Any, config: Any) -> None:
         if dataclasses.is_dataclass(value):
             tables[field.name] = value
         else:
+            value = _NONE if value is None and field.default is not None else value
             _write_line(container, field.name, value, meanings.get(field.name, ""))
     for name, value in tables.items():
         table = tomlkit.table()

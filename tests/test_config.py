@@ -136,6 +136,12 @@ def test_mistakes_among_several_types_are_named(text: str, message: str) -> None
         merge(Choices(), tomllib.loads(text))
 
 
+def test_messages_say_where_a_part_of_a_file_is() -> None:
+    with pytest.raises(ConfigError, match=r"unknown key 'run\.nmae'; \[run\] knows") as caught:
+        merge(Outer(), {"nmae": "y", "inner": {"steps": -1}}, where="run")
+    assert "[run.inner]: steps must not be negative" in str(caught.value)
+
+
 def test_all_mistakes_are_named_at_once() -> None:
     text = "nmae = 'y'\nmode = 'c'\n[inner]\nsped = 1\nsteps = 1.5\n"
     with pytest.raises(ConfigError) as caught:
@@ -170,6 +176,15 @@ def test_what_is_not_given_stays_though_it_is_not_the_default() -> None:
     changed = merge(config, {"tiny": 1e-9, "inner": {"steps": 4}})
     assert changed == Choices(Path("user"), None, 2.0, 1e-9, Inner(speed=9.0, steps=4))
     assert merge(changed, {}) == changed
+
+
+def test_none_has_a_word_where_it_is_not_the_default() -> None:
+    config = Choices(cache=None, most=None)
+    lines = as_toml(config).splitlines()
+    assert {'most = "None"', 'cache = "None"', "# rate ="} <= set(lines)
+    assert merge(Choices(), tomllib.loads(as_toml(config))) == config
+    with pytest.raises(ConfigError, match="steps must be int, not 'None'"):
+        merge(Inner(), {"steps": "None"})
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
