@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from gmdx.cli.main import COMMANDS, Entry, Group, main
+from gmdx.cli.commands import COMMANDS, Entry, Group
+from gmdx.cli.main import main
 from gmdx.cli.terminal import interrupts_kept
-from gmdx.dataset.store import PARTIAL
+from gmdx.files.folder import PARTIAL
 from gmdx.metrics.table import METRICS
 from tests.runs import (
     FLAGS,
@@ -149,7 +150,7 @@ def entries(group: Group = COMMANDS) -> Iterator[Entry]:
         yield from entries(entry) if isinstance(entry, Group) else [entry]
 
 
-@pytest.mark.parametrize("entry", [*entries()], ids=lambda entry: entry.home.split(":")[1])
+@pytest.mark.parametrize("entry", [*entries()], ids=lambda entry: entry.load.__name__)
 def test_the_summary_of_a_command_is_its_own(entry: Entry) -> None:
     first = (entry.load().__doc__ or "").split("\n\n")[0]
     assert entry.summary == " ".join(first.split())
