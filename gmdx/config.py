@@ -1,19 +1,41 @@
-"""Configuration files: TOML in, frozen dataclasses out, unknown keys refused by name."""
+"""Configuration files: TOML in, frozen dataclasses out, unknown keys refused by name.
+
+cattrs structures and refuses, tomlkit writes. What is here: how strict they are, the words of a
+refusal, and the comments of the fields.
+"""
 
 import ast
+import contextlib
 import dataclasses
 import inspect
+import io
 import json
+import re
 import textwrap
+import tokenize
 import tomllib
-import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+
+import cattrs
+import tomlkit
+from cattrs.cols import homogenous_tuple_structure_factory
+from cattrs.errors import (
+    ClassValidationError,
+    ForbiddenExtraKeysError,
+    IterableValidationError,
+    IterableValidationNote,
+)
+from cattrs.gen import make_hetero_tuple_structure_fn
 
 from gmdx.errors import ConfigError, GmdxError
 
 T = TypeVar("T")
+_NONE = "None"  # in a file
+_WIDTH = 99  # of a line in a printed file
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
@@ -35,85 +57,19 @@ def merge(config: T, values: Mapping[str, Any], *, where: str = "") -> T:
 
     Args:
         config: The defaults.
-        values: Keys are field names; a nested mapping goes into a nested dataclass.
+        values: Keys are field names; a nested mapping goes into a nested dataclass. The text
+            "None" is None for a field that may be that.
         where: Dotted path of `config` in the file, for messages.
 
     Raises:
-        ConfigError: A key is unknown, a value has the wrong type, or the dataclass refuses it.
+        ConfigError: A key is unknown, a value has the wrong type, or a dataclass refuses it. All
+            that is wrong is named, each with its dotted path.
     """
-    fields = {field.name: field for field in dataclasses.fields(config)}  # type: ignore[arg-type]
-    hints = get_type_hints(type(config))
-    changes = {}
-    for key, value in values.items():
-        path = f"{where}.{key}" if where else key
-        if key not in fields:
-            section = f"[{where}]" if where else "the top level"
-            raise ConfigError(f"unknown key {path!r}; {section} knows: {', '.join(sorted(fields))}")
-        current = getattr(config, key)
-        if dataclasses.is_dataclass(current):
-            if not isinstance(value, Mapping):
-                raise ConfigError(f"{path} is a table ([{path}]), not a value")
-            changes[key] = merge(current, value, where=path)
-        else:
-            changes[key] = _converted(value, hints[key], path)
+    merged = _over(_CONVERTER.unstructure(config), values)
     try:
-        return dataclasses.replace(config, **changes)  # type: ignore[type-var]
-    except (GmdxError, ValueError) as error:
-        section = f"[{where}]" if where else "the configuration"
-        raise ConfigError(f"{section}: {error}") from error
-
-
-def _converted(value: Any, hint: Any, path: str) -> Any:
-    """`value` as the annotation `hint` wants it, or a ConfigError."""
-    options = list(_options(hint))
-    for option in options:
-        if get_origin(option) is Literal and value in get_args(option):
-            return value
-    for option in options:
-        origin = get_origin(option)
-        if origin is tuple and isinstance(value, list | tuple):
-            items = get_args(option)
-            if items[-1] is ...:
-                items = (items[0],) * len(value)
-            if len(items) == len(value):
-                pairs = zip(value, items, strict=True)
-                return tuple(_converted(v, i, f"{path}[{k}]") for k, (v, i) in enumerate(pairs))
-        if dataclasses.is_dataclass(option) and isinstance(value, Mapping):
-            return _record(option, value, path)
-        if option is type(None) and value is None:
-            return None
-        if option is Path and isinstance(value, str | Path):
-            return Path(value)
-        if option is float and isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        if isinstance(option, type) and type(value) is option:
-            return value
-    raise ConfigError(f"{path} must be {_named(hint)}, not {value!r}")
-
-
-def _record(cls: Any, values: Mapping[str, Any], path: str) -> Any:
-    """A dataclass inside a list, all of whose fields must be given."""
-    hints = get_type_hints(cls)
-    if set(values) != set(hints):
-        raise ConfigError(f"{path} has the keys {', '.join(hints)}, not {', '.join(values)}")
-    return cls(**{key: _converted(values[key], hints[key], f"{path}.{key}") for key in hints})
-
-
-def _options(hint: Any) -> Iterator[Any]:
-    """The members of a union, or the annotation itself."""
-    if get_origin(hint) in (Union, types.UnionType):
-        yield from get_args(hint)
-    else:
-        yield hint
-
-
-def _named(hint: Any) -> str:
-    """An annotation in words."""
-    if get_origin(hint) is Literal:
-        return "one of " + ", ".join(map(repr, get_args(hint)))
-    if isinstance(hint, type) and get_origin(hint) is None:
-        return hint.__name__
-    return str(hint)
+        return _CONVERTER.structure(merged, type(config))
+    except ClassValidationError as error:
+        raise ConfigError("; ".join(_mistakes(error, where))) from error
 
 
 def as_dict(config: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -124,58 +80,15 @@ def as_dict(config: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
     return restored
 
 
-def as_toml(config: Any, *, where: str = "") -> str:
+def as_toml(config: Any) -> str:
     """A dataclass as a TOML file that a person can edit: each line with its field's comment.
 
-    An unset value (None) is written as a comment, since TOML has no null.
+    TOML has no null: a value that is None is written as a comment where that is its default, and
+    else as the text "None", which `merge` takes for it.
     """
-    comments = _comments(type(config))
-    lines, tables = [], []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            tables.append(as_toml(value, where=f"{where}.{field.name}" if where else field.name))
-            continue
-        text = f"# {field.name} =" if value is None else f"{field.name} = {_toml_value(value)}"
-        comment = comments.get(field.name, "")
-        if len(text) + len(comment) > 95:
-            lines += [f"# {line}" for line in textwrap.wrap(comment, 97)]
-            comment = ""
-        lines.append(f"{text}  # {comment}" if comment else text)
-    header = [f"[{where}]"] if where else []
-    return "\n\n".join(["\n".join([*header, *lines]), *tables])
-
-
-def _toml_value(value: Any) -> str:
-    """One TOML value; JSON's notation is TOML's for what configurations hold."""
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(map(_toml_value, value)) + "]"
-    if dataclasses.is_dataclass(value):
-        items = (
-            f"{f.name} = {_toml_value(getattr(value, f.name))}" for f in dataclasses.fields(value)
-        )
-        return "{ " + ", ".join(items) + " }"
-    if isinstance(value, float):
-        return repr(value)
-    return json.dumps(value, default=str)
-
-
-def _comments(cls: type) -> dict[str, str]:
-    """What stands behind or below each field in the source of a dataclass: its meaning."""
-    source = textwrap.dedent(inspect.getsource(cls))
-    lines = source.splitlines()
-    found: dict[str, str] = {}
-    body = ast.parse(source).body[0].body  # type: ignore[attr-defined]
-    for statement, following in zip(body, [*body[1:], None], strict=True):
-        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
-            continue
-        behind = lines[statement.end_lineno - 1].encode()[statement.end_col_offset :].decode()  # type: ignore[operator]
-        below = getattr(getattr(following, "value", None), "value", None)
-        if "#" in behind:
-            found[statement.target.id] = behind.split("#", 1)[1].split("#")[0].strip()
-        elif isinstance(following, ast.Expr) and isinstance(below, str):
-            found[statement.target.id] = " ".join(below.split())
-    return found
+    document = tomlkit.document()
+    _write(document, config)
+    return re.sub(r"\n{3,}", "\n\n", tomlkit.dumps(document)).strip() + "\n"
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], *, where: str = "") -> list[str]:
@@ -189,3 +102,187 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any], *, where: str
         elif old != new:
             lines.append(f"{path}: {json.dumps(old)} -> {json.dumps(new)}")
     return lines
+
+
+def comments(cls: type) -> dict[str, str]:
+    """What stands behind, within or below each field in a dataclass's source: its meaning."""
+    source = textwrap.dedent(inspect.getsource(cls))
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    notes = {token.start[0]: token.string[1:] for token in tokens if token.type == tokenize.COMMENT}
+    found: dict[str, str] = {}
+    body = ast.parse(source).body[0].body  # type: ignore[attr-defined]
+    for statement, following in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
+            continue
+        lines = range(statement.lineno, 1 + (statement.end_lineno or statement.lineno))
+        behind = [notes[line].split("#")[0].strip() for line in lines if line in notes]
+        below = getattr(getattr(following, "value", None), "value", None)
+        if behind:
+            found[statement.target.id] = " ".join(behind)
+        elif isinstance(following, ast.Expr) and isinstance(below, str):
+            found[statement.target.id] = " ".join(below.split())
+    return found
+
+
+def _over(base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `values` in place, tables within tables."""
+    tables = {
+        key: _over(base[key], value)
+        for key, value in values.items()
+        if isinstance(base.get(key), Mapping) and isinstance(value, Mapping)
+    }
+    return {**base, **values, **tables}
+
+
+def _mistakes(error: ClassValidationError | IterableValidationError, path: str) -> list[str]:
+    """What cattrs found wrong at `path` and below it, each with its own dotted path."""
+    section = f"[{path}]" if path else "the top level"
+    placed, own = error.group_exceptions()
+    found = []
+    for one in own:  # of the dataclass as a whole
+        if isinstance(one, ForbiddenExtraKeysError):
+            known = ", ".join(sorted(field.name for field in dataclasses.fields(one.cl)))
+            keys = [f"{path}.{key}".lstrip(".") for key in sorted(one.extra_fields)]
+            found += [f"unknown key {key!r}; {section} knows: {known}" for key in keys]
+        elif isinstance(one, GmdxError | ValueError):
+            found.append(f"{section if path else 'the configuration'}: {one}")
+        else:
+            raise one
+    for one, note in placed:  # of one of its values
+        key = f"[{note.index}]" if isinstance(note, IterableValidationNote) else f".{note.name}"
+        place = f"{path}{key}".lstrip(".")
+        if isinstance(one, ClassValidationError | IterableValidationError):
+            found += _mistakes(one, place)
+        elif isinstance(one, KeyError):
+            known = ", ".join(field.name for field in dataclasses.fields(error.cl))
+            found.append(f"{place} is missing; {section} has the keys {known}")
+        elif dataclasses.is_dataclass(note.type):
+            found.append(f"{place} is a table ([{place}]), not a value")
+        else:
+            found.append(f"{place} {one}")
+    return found
+
+
+def _misfit(value: Any, hint: Any) -> TypeError:
+    """That a value is not what its annotation says."""
+    words = hint.__name__ if isinstance(hint, type) and get_origin(hint) is None else str(hint)
+    if _is_a(Literal, hint):
+        words = "one of " + ", ".join(map(repr, get_args(hint)))
+    return TypeError(f"must be {words}, not {value!r}")
+
+
+def _exact(*kinds: type) -> Callable[[Any, Any], Any]:
+    """A hook that takes instances of `kinds` only, and no truth value for a number."""
+
+    def take(value: Any, hint: Any) -> Any:
+        if not isinstance(value, kinds) or isinstance(value, bool) != (hint is bool):
+            raise _misfit(value, hint)
+        return hint(value)
+
+    return take
+
+
+def _literal(value: Any, hint: Any) -> Any:
+    """A hook that takes the values of a Literal."""
+    if value not in get_args(hint):
+        raise _misfit(value, hint)
+    return value
+
+
+def _union(hint: Any, converter: cattrs.Converter) -> Callable[[Any, Any], Any]:
+    """A hook that takes the first member that fits: None and names before types."""
+    members = [member for member in get_args(hint) if member is not NoneType]
+    members.sort(key=lambda member: not _is_a(Literal, member))
+    hooks = [(converter.get_structure_hook(member), member) for member in members]
+
+    def take(value: Any, _: Any) -> Any:
+        if NoneType in get_args(hint) and value in (None, _NONE):
+            return None
+        for hook, member in hooks:
+            with contextlib.suppress(Exception):
+                return hook(value, member)
+        raise _misfit(value, hint)
+
+    return take
+
+
+def _tuple(hint: Any, converter: cattrs.Converter) -> Callable[[Any, Any], Any]:
+    """A hook that takes arrays of the right length; a text is none."""
+    items = get_args(hint)
+    even = Ellipsis in items  # all of one kind, as many as there are
+    make = homogenous_tuple_structure_factory if even else make_hetero_tuple_structure_fn
+    structure = make(hint, converter)
+
+    def take(value: Any, _: Any) -> Any:
+        if not isinstance(value, list | tuple) or not (even or len(value) == len(items)):
+            raise _misfit(value, hint)
+        return structure(value, hint)
+
+    return take
+
+
+def _is_a(origin: Any, hint: Any) -> bool:
+    return get_origin(hint) is origin
+
+
+def _converter() -> cattrs.Converter:
+    """cattrs, made strict: nothing is converted but a whole number to a float, a text to a path."""
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    for kind in (bool, int, str):
+        converter.register_structure_hook(kind, _exact(kind))
+    converter.register_structure_hook(float, _exact(int, float))
+    converter.register_structure_hook(Path, _exact(str, Path))
+    converter.register_unstructure_hook(Path, lambda path: path)
+    origins = (
+        (Literal, lambda *_: _literal),
+        (tuple, _tuple),
+        (Union, _union),
+        (UnionType, _union),
+    )
+    for origin, factory in origins:
+        converter.register_structure_hook_factory(partial(_is_a, origin), factory)
+    return converter
+
+
+def _write(container: Any, config: Any) -> None:
+    """The fields of a dataclass into a TOML document or table, those that are tables last."""
+    meanings = comments(type(config))
+    tables = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            tables[field.name] = value
+        else:
+            value = _NONE if value is None and field.default is not None else value
+            _write_line(container, field.name, value, meanings.get(field.name, ""))
+    for name, value in tables.items():
+        table = tomlkit.table()
+        _write(table, value)
+        container.add(tomlkit.nl())
+        container.add(name, table)
+
+
+def _write_line(container: Any, name: str, value: Any, meaning: str) -> None:
+    """One setting, its meaning behind it or, where that is long, above it."""
+    plain = _CONVERTER.unstructure(value)
+    if isinstance(plain, list | tuple):
+        item: Any = tomlkit.array()
+        item.extend(plain)
+    else:
+        item = tomlkit.item(
+            "" if plain is None else str(plain) if isinstance(plain, Path) else plain
+        )
+    if len(f"{name} = {item.as_string()}  # {meaning}") > _WIDTH:
+        for line in textwrap.wrap(meaning, _WIDTH - 2):
+            container.add(tomlkit.comment(line))
+        meaning = ""
+    if value is None:
+        container.add(tomlkit.comment(f"{name} =  # {meaning}" if meaning else f"{name} ="))
+        return
+    if meaning:
+        item.comment(meaning)
+        item.trivia.comment_ws = "  "
+    container.add(name, item)
+
+
+_CONVERTER = _converter()

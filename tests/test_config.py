@@ -43,6 +43,24 @@ class Outer:
     inner: Inner = field(default_factory=Inner)
 
 
+@dataclass(frozen=True)
+class Choices:
+    """What may be of several types."""
+
+    cache: Path | Literal["user"] | str | None = "user"
+    most: int | None = 2
+    rate: float | None = None
+    tiny: float = 1e-12  # written within
+    inner: Inner = field(default_factory=lambda: Inner(speed=9.0))
+
+
+@dataclass(frozen=True)
+class Wordy:
+    size: int = 1
+    """word word word word word word word word word word word word word word word
+    word word word word word word word word word word word word word word word"""
+
+
 def test_values_go_where_their_keys_say() -> None:
     values = tomllib.loads(
         'name = "y"\nmode = "b"\nfolder = "here"\n[inner]\nspeed = 2\nflags = [false, true]\n'
@@ -53,7 +71,9 @@ def test_values_go_where_their_keys_say() -> None:
     assert isinstance(merge(Outer(), values).inner.speed, float)
 
 
-@pytest.mark.parametrize("config", [Outer(), GenerateConfig()])
+@pytest.mark.parametrize(
+    "config", [Outer(), Choices(cache=Path("a b\\c"), rate=1e300), GenerateConfig()]
+)
 def test_a_printed_configuration_reads_back(config: object) -> None:
     text = as_toml(config)
     assert merge(config, tomllib.loads(text)) == config
@@ -65,6 +85,14 @@ def test_comments_say_what_fields_mean() -> None:
     assert "# folder =  # optional" in lines
     assert 'speed = 0.5  # m/s, "fast"' in lines
     assert "steps = 3  # Steps of the thing, written below." in lines
+    assert "tiny = 1e-12  # written within" in as_toml(Choices()).splitlines()
+
+
+def test_a_long_comment_stands_above_its_line() -> None:
+    lines = as_toml(Wordy()).splitlines()
+    assert max(map(len, lines)) <= 99
+    assert lines[-1] == "size = 1"
+    assert " ".join(line.removeprefix("# ") for line in lines[:-1]) == " ".join(["word"] * 30)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +106,13 @@ def test_comments_say_what_fields_mean() -> None:
         ("[inner]\nsteps = true", r"inner\.steps must be int, not True"),
         ("[inner]\nsteps = -1", r"\[inner\]: steps must not be negative"),
         ("[inner]\npair = [1]", r"inner\.pair must be"),
-        ("[inner]\npoints = [{ at = 1 }]", r"inner\.points\[0\] has the keys at, of, not at"),
+        ("[inner]\npair = 'ab'", r"inner\.pair must be"),
+        ("[inner]\nflags = [true, 1]", r"inner\.flags\[1\] must be bool, not 1"),
+        ("[inner]\npoints = [{ at = 1 }]", r"inner\.points\[0\]\.of is missing; .* keys at, of$"),
+        ("[inner]\npoints = [{ at = 1, on = 'b' }]", r"unknown key 'inner\.points\[0\]\.on'"),
+        ("[inner]\npoints = [3]", r"inner\.points\[0\] is a table"),
+        ("[inner]\npoints = 'ab'", r"inner\.points must be .*Point"),
+        ("folder = 3", r"folder must be .*Path.*, not 3"),
         ("mode = 'c'", r"mode must be one of 'a', 'b', not 'c'"),
         ("inner = 3", r"inner is a table"),
         ("name = 3", r"name must be str, not 3"),
@@ -87,6 +121,70 @@ def test_comments_say_what_fields_mean() -> None:
 def test_mistakes_are_named(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         merge(Outer(), tomllib.loads(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cache = 3", r"cache must be .*Path.*'user'.*, not 3"),
+        ("most = 1.0", r"most must be int.*, not 1\.0"),
+        ("rate = 'quick'", r"rate must be float.*, not 'quick'"),
+    ],
+)
+def test_mistakes_among_several_types_are_named(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        merge(Choices(), tomllib.loads(text))
+
+
+def test_messages_say_where_a_part_of_a_file_is() -> None:
+    with pytest.raises(ConfigError, match=r"unknown key 'run\.nmae'; \[run\] knows") as caught:
+        merge(Outer(), {"nmae": "y", "inner": {"steps": -1}}, where="run")
+    assert "[run.inner]: steps must not be negative" in str(caught.value)
+
+
+def test_all_mistakes_are_named_at_once() -> None:
+    text = "nmae = 'y'\nmode = 'c'\n[inner]\nsped = 1\nsteps = 1.5\n"
+    with pytest.raises(ConfigError) as caught:
+        merge(Outer(), tomllib.loads(text))
+    for word in ("'nmae'", "mode must be", "'inner.sped'", "inner.steps must be"):
+        assert word in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_fault_of_the_dataclass_is_not_taken_for_the_users() -> None:
+    @dataclass(frozen=True)
+    class Broken:
+        size: int = 1
+
+        def __post_init__(self) -> None:
+            if self.size != 1:
+                raise AssertionError("a fault")
+
+    with pytest.raises(AssertionError, match="a fault"):
+        merge(Broken(), {"size": 2})
+
+
+def test_one_of_several_types_is_taken_as_it_is_given() -> None:
+    assert merge(Choices(), {"cache": "user"}).cache == "user"
+    assert merge(Choices(), {"cache": "here"}).cache == Path("here")
+    assert merge(Choices(), {"cache": None, "most": None}) == Choices(cache=None, most=None)
+    assert merge(Choices(), {"most": 3, "rate": 1}) == Choices(most=3, rate=1.0)
+
+
+def test_what_is_not_given_stays_though_it_is_not_the_default() -> None:
+    config = Choices(cache=Path("user"), most=None, rate=2.0)
+    changed = merge(config, {"tiny": 1e-9, "inner": {"steps": 4}})
+    assert changed == Choices(Path("user"), None, 2.0, 1e-9, Inner(speed=9.0, steps=4))
+    assert merge(changed, {}) == changed
+
+
+def test_none_has_a_word_where_it_is_not_the_default() -> None:
+    config = Choices(cache=None, most=None)
+    lines = as_toml(config).splitlines()
+    assert {'most = "None"', 'cache = "None"', "# rate ="} <= set(lines)
+    assert merge(Choices(), tomllib.loads(as_toml(config))) == config
+    with pytest.raises(ConfigError, match="steps must be int, not 'None'"):
+        merge(Inner(), {"steps": "None"})
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

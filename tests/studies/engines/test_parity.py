@@ -307,7 +307,7 @@ def test_another_physics_differs_and_its_ways_to_end_are_named(
     scenes: list[Scene], capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("pybullet", reason="the second engine is not installed")
-    from gmdx.cli.bench_parity import show_parity
+    from gmdx.cli.bench.parity import show_parity
 
     figures = parity_figures(
         scenes[:2], engines=("bullet",), grasps=4, gripper=GRIPPER, trials=TRIALS

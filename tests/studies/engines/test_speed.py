@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gmdx.trials.engines.warp
-from gmdx.cli.bench_trials import show_speed
+from gmdx.cli.bench.trials import show_speed
 from gmdx.cli.main import main
 from gmdx.errors import GraspError, UsageError
 from gmdx.grasps.sample import sample_grasps

@@ -2,30 +2,29 @@
 
 import dataclasses
 import json
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from rich.table import Table
 from tyro.conf import arg
 
-from gmdx.cli.bench import numbers
-from gmdx.cli.bench_trials import (
-    DONE,
-    ENGINE_FAILED,
-    GripperName,
-    Json,
-    Names,
-    Objects,
-    names,
-    prepared_scenes,
-    say_failures,
-    say_machine,
-    short,
-)
-from gmdx.cli.terminal import console, following, interrupts_kept, say
+from gmdx.cli.bench.scenes import prepared_scenes
+from gmdx.cli.bench.trials import BY_MEMORY, say_failures, say_machine
+from gmdx.cli.exits import Exit
+from gmdx.cli.options import BenchObjects, GripperName, Json, NameList, name_list, number_list
+from gmdx.cli.tables import short
+from gmdx.cli.terminal import console, following, say
 from gmdx.errors import UsageError
-
-if TYPE_CHECKING:
-    from gmdx.studies.engines import EngineParity, MetricParity, ParityFigures
+from gmdx.pipeline.config import GenerateConfig
+from gmdx.scenes.gripper import DEFAULT_GRIPPER, load_gripper
+from gmdx.studies.engines import (
+    EngineParity,
+    MetricParity,
+    ParityFigures,
+    choose_all,
+    parity_figures,
+    refuse_idle_sizes,
+    refuse_less_than_one,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,44 +35,29 @@ class Parity:
     to limits; PyBullet, which is other physics, is only shown.
     """
 
-    objects: Objects = ("bundled",)
+    objects: BenchObjects = ("bundled",)
     """what to grasp"""
-    engine: Names = "warp"
+    engine: NameList = "warp"
     """engines to compare with C MuJoCo: warp, bullet"""
     grasps: int = 16
     """grasps per object"""
-    trials: int = 5
+    trials: int = GenerateConfig.trials
     """trials per grasp, of which the first is pushed and gives the metrics"""
-    parallel_trials: Annotated[
-        str, arg(metavar="N", help_behavior_hint="(default: by the device's memory)")
-    ] = ""
+    parallel_trials: Annotated[str, arg(metavar="N", help_behavior_hint=BY_MEMORY)] = ""
     """trials side by side on a device; no result may depend on it"""
     threads: int = 1
     """of MuJoCo on the CPU"""
     floor: bool = True
     """also compare MuJoCo with itself, every object moved by a micrometre"""
-    gripper: GripperName = "parallel_jaw"
+    gripper: GripperName = DEFAULT_GRIPPER
     """a shipped gripper, or the description of your own"""
     json: Json = False
     """print JSON instead of tables"""
 
     def run(self) -> int:
         """Run every engine, and show how it differs."""
-        with interrupts_kept():
-            from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engines import (
-                choose_all,
-                parity_figures,
-                refuse_idle_sizes,
-                refuse_less_than_one,
-            )
-
-        engines, gripper = names(self.engine), load_gripper(self.gripper)
-        sizes = (
-            numbers(self.parallel_trials, option="--parallel-trials")
-            if self.parallel_trials
-            else []
-        )
+        engines, gripper = name_list(self.engine), load_gripper(self.gripper)
+        sizes = number_list(self.parallel_trials, option="--parallel-trials")
         if len(sizes) > 1:
             raise UsageError(f"--parallel-trials takes one number here, not {self.parallel_trials}")
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
@@ -97,7 +81,7 @@ class Parity:
         else:
             show_parity(figures)
         missed = any(parity.passed is False for parity in figures.parities)
-        return ENGINE_FAILED if figures.failures or missed else DONE
+        return Exit.FAILED if figures.failures or missed else Exit.DONE
 
 
 _PARITY_NOTES = """\
@@ -107,7 +91,7 @@ force, relative: of grasps that are pushed out, or would be, in both engines
 X_norm columns are X divided by the object's bound_l; they are in the JSON"""
 
 
-def show_parity(figures: "ParityFigures") -> None:
+def show_parity(figures: ParityFigures) -> None:
     """For each engine a table of at most 100 columns, and one of the outcomes that differ."""
     for parity in [*([] if figures.floor is None else [figures.floor]), *figures.parities]:
         console().print(_parity_table(parity))
@@ -135,7 +119,7 @@ def show_parity(figures: "ParityFigures") -> None:
     say_machine(figures.machine)
 
 
-def _parity_table(parity: "EngineParity") -> Table:
+def _parity_table(parity: EngineParity) -> Table:
     title = f"gmdx bench parity: {parity.engine} ({parity.grasps} grasps, {parity.trials} trials)"
     table = Table(title=title)
     table.add_column("what", no_wrap=True)
@@ -170,7 +154,7 @@ def _parity_table(parity: "EngineParity") -> Table:
     return table
 
 
-def _verdict(limit: str, within: bool | None, row: "MetricParity | None" = None) -> str:
+def _verdict(limit: str, within: bool | None, row: MetricParity | None = None) -> str:
     if row is not None and row.pairs == 0:
         return f"{limit}: FAIL, no data"
     return f"{limit}: {'pass' if within else 'FAIL'}"

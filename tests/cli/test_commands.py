@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from gmdx.cli.main import Generate, main
+from gmdx.cli.commands import COMMANDS, Entry, Group
+from gmdx.cli.main import main
 from gmdx.cli.terminal import interrupts_kept
 from gmdx.files.folder import PARTIAL
 from gmdx.metrics.table import METRICS
-from gmdx.pipeline.generate import GenerateConfig
 from tests.runs import (
     FLAGS,
     Command,
@@ -134,36 +134,26 @@ def test_another_seed_for_the_same_folder_is_2(
     assert contents(root / "out") == before
 
 
-def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path: Path) -> None:
-    path = tmp_path / "run.toml"
-    path.write_text("grasps = 7\nscenes = 3\n[trial]\nlift_height = 0.1\n")
-    command = Generate(objects=(), out=tmp_path, grasps=9, config=str(path))
-    settings = command.settings()
-    assert (settings.grasps, settings.scenes, settings.trials) == (9, 3, GenerateConfig().trials)
-    assert settings.trial.lift_height == 0.1
-
-
-def test_help_states_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    """The flags' defaults are words in the help; the values are those of the pipeline."""
-    code, out, _ = run(["generate", "--help"], capsys)
-    assert code == 0
-    words = " ".join(out.replace("│", " ").split())
-    defaults = GenerateConfig()
-    for name in ("grasps", "scenes", "trials", "seed"):
-        after = words.split(f"--{name} INT")[1].split("--")[0]
-        assert f"(default: {getattr(defaults, name)})" in after
-    assert f"(default: {defaults.gripper})" in words
-    assert len(out.splitlines()) < 40
-
-
-def test_config_prints_a_file_that_can_be_used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("command", ["genrate", ""])
+@pytest.mark.parametrize("group", [(), ("bench",)])
+def test_unknown_commands_are_answered_with_the_known_ones(
+    group: tuple[str, ...], command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, _ = run(["config"], capsys)
-    assert code == 0
-    (tmp_path / "all.toml").write_text(out)
-    settings = Generate(objects=(), out=tmp_path, config=str(tmp_path / "all.toml")).settings()
-    assert settings == Generate(objects=(), out=tmp_path).settings()
+    code, _, err = run([*group, *([command] if command else [])], capsys)
+    assert code == 2
+    for name in COMMANDS.entries["bench"].entries if group else COMMANDS.entries:
+        assert name in err
+
+
+def entries(group: Group = COMMANDS) -> Iterator[Entry]:
+    for entry in group.entries.values():
+        yield from entries(entry) if isinstance(entry, Group) else [entry]
+
+
+@pytest.mark.parametrize("entry", [*entries()], ids=lambda entry: entry.load.__name__)
+def test_the_summary_of_a_command_is_its_own(entry: Entry) -> None:
+    first = (entry.load().__doc__ or "").split("\n\n")[0]
+    assert entry.summary == " ".join(first.split())
 
 
 def test_metrics_prints_all_36(capsys: pytest.CaptureFixture[str]) -> None:

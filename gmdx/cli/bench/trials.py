@@ -2,30 +2,41 @@
 
 import dataclasses
 import json
-import math
 import textwrap
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from rich.box import SIMPLE_HEAVY
 from rich.table import Table
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import arg
 
-from gmdx.cli.bench import numbers
-from gmdx.cli.terminal import console, following, interrupts_kept, say
+from gmdx.cli.bench.scenes import prepared_scenes
+from gmdx.cli.exits import Exit
+from gmdx.cli.options import (
+    BenchObjects,
+    GripperName,
+    Json,
+    NameList,
+    NumberList,
+    name_list,
+    number_list,
+)
+from gmdx.cli.tables import short
+from gmdx.cli.terminal import console, following, say
+from gmdx.pipeline.config import GenerateConfig
+from gmdx.scenes.gripper import DEFAULT_GRIPPER, load_gripper
+from gmdx.studies.engines import (
+    Machine,
+    RunFailure,
+    TrialFigures,
+    TrialSpeed,
+    choose_all,
+    refuse_idle_sizes,
+    refuse_less_than_one,
+    trial_figures,
+)
+from gmdx.trials.engines import DEFAULT_ENGINE
 
-if TYPE_CHECKING:
-    from gmdx.scenes.scene import Scene
-    from gmdx.studies.engines import Machine, RunFailure, TrialFigures, TrialSpeed
-
-DONE, ENGINE_FAILED = 0, 1
-
-Objects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")]
-GripperName = Annotated[str, arg(metavar="NAME|FILE")]
-Names = Annotated[str, arg(metavar="NAME,NAME,...")]
-_Sizes = Annotated[
-    str, arg(metavar="N,N,...", help_behavior_hint="(default: by the device's memory)")
-]
-Json = FlagCreatePairsOff[bool]
+BY_MEMORY = "(default: by the device's memory)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,40 +52,27 @@ class Trials:
     milliseconds where it has no device but the CPU: ask for few grasps there.
     """
 
-    objects: Objects = ("bundled",)
+    objects: BenchObjects = ("bundled",)
     """what to grasp"""
-    engine: Names = "mujoco"
+    engine: NameList = DEFAULT_ENGINE
     """mujoco, warp, bullet; the last column compares each with the first"""
-    parallel_trials: _Sizes = ""
+    parallel_trials: Annotated[NumberList, arg(help_behavior_hint=BY_MEMORY)] = ""
     """trials side by side on a device, a row each"""
     grasps: int = 16
     """grasps per object: take enough to fill the largest batch several times"""
-    trials: int = 5
+    trials: int = GenerateConfig.trials
     """trials per grasp"""
     threads: int = 1
     """of MuJoCo on the CPU: as many as there are cores, to compare a device with all of them"""
-    gripper: GripperName = "parallel_jaw"
+    gripper: GripperName = DEFAULT_GRIPPER
     """a shipped gripper, or the description of your own"""
     json: Json = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
         """Run every engine, and show what it took."""
-        with interrupts_kept():
-            from gmdx.scenes.gripper import load_gripper
-            from gmdx.studies.engines import (
-                choose_all,
-                refuse_idle_sizes,
-                refuse_less_than_one,
-                trial_figures,
-            )
-
-        engines, gripper = names(self.engine), load_gripper(self.gripper)
-        sizes = (
-            numbers(self.parallel_trials, option="--parallel-trials")
-            if self.parallel_trials
-            else []
-        )
+        engines, gripper = name_list(self.engine), load_gripper(self.gripper)
+        sizes = number_list(self.parallel_trials, option="--parallel-trials")
         refuse_less_than_one(grasps=self.grasps, trials=self.trials, threads=self.threads)
         refuse_idle_sizes(choose_all(engines), sizes)  # before any object is prepared
         scenes = prepared_scenes(self.objects)
@@ -95,32 +93,10 @@ class Trials:
             say(json.dumps(dataclasses.asdict(speed) | {"figures": rows}, indent=1))
         else:
             show_speed(speed)
-        return ENGINE_FAILED if speed.failures else DONE
+        return Exit.FAILED if speed.failures else Exit.DONE
 
 
-def names(text: str) -> list[str]:
-    """`a, b` as names."""
-    return [word.strip() for word in text.split(",")]
-
-
-def prepared_scenes(objects: tuple[str, ...]) -> list["Scene"]:
-    """One scene of each object; what was prepared before comes from the user's cache."""
-    from gmdx.machine.progress import Follower
-    from gmdx.objects.prepare import prepare
-    from gmdx.objects.sources import resolve
-    from gmdx.scenes.settle import settle
-
-    sources = resolve(list(objects))
-    scenes = []
-    with following("objects") as show:
-        follower = Follower(len(sources), show)
-        for source in sources:
-            scenes.append(settle(prepare(source)))
-            follower.finished(source.object_id, count=1)
-    return scenes
-
-
-def _with_rates(row: "TrialFigures") -> dict[str, Any]:
+def _with_rates(row: TrialFigures) -> dict[str, Any]:
     """A row with what follows from it."""
     rates = ("trials_per_second", "steps_per_second", "step_microseconds", "step_share")
     return dataclasses.asdict(row) | {name: getattr(row, name) for name in rates}
@@ -133,7 +109,7 @@ compiled: programs compiled in the first run + found on disk; in the timed run, 
 device MB: the most held on one device; each row has a process of its own"""
 
 
-def show_speed(speed: "TrialSpeed") -> None:
+def show_speed(speed: TrialSpeed) -> None:
     """One table of at most 100 columns, and what it ran on."""
     title = f"gmdx bench trials ({len(speed.objects)} objects, {speed.grasps} grasps)"
     table = Table(title=title, box=SIMPLE_HEAVY, collapse_padding=True, pad_edge=False)
@@ -173,27 +149,14 @@ def show_speed(speed: "TrialSpeed") -> None:
     say_machine(speed.machine)
 
 
-def say_failures(failures: tuple["RunFailure", ...]) -> None:
+def say_failures(failures: tuple[RunFailure, ...]) -> None:
     """Engines that failed, a line each."""
     for failure in failures:
         say(f"{failure.label} failed: {failure.error}")
 
 
-def say_machine(machine: "Machine") -> None:
+def say_machine(machine: Machine) -> None:
     """What the figures were measured on."""
     versions = ", ".join(f"{name} {number}" for name, number in machine.packages.items())
     say(f"{machine.processor}, {machine.cores} cores, {machine.system}; Python {machine.python}")
     say(textwrap.fill(versions, width=100))
-
-
-def short(value: float) -> str:
-    """The digits that matter; large numbers in thousands or millions."""
-    if math.isnan(value):
-        return "-"
-    if value >= 1e7:
-        return f"{value / 1e6:,.0f} M"
-    if value >= 1e5:
-        return f"{value / 1e3:,.0f} k"
-    if value >= 100:
-        return f"{value:,.0f}"
-    return f"{value:.3g}" if value >= 1 else f"{value:.2g}"
