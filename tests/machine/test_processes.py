@@ -1,84 +1,22 @@
 """Processes that work, fail, crash and are left behind."""
 
 import contextlib
-import logging
 import multiprocessing
 import os
-import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import pytest
 
-from gmdx.errors import DatasetError, UsageError
 from gmdx.machine.cores import THREAD_VARIABLES
-from gmdx.machine.executor import Crash, Finished, Inbox, ThreadExecutor
+from gmdx.machine.executor import Crash
 from gmdx.machine.processes import WorkerError
-from gmdx.machine.tasks import open_executor, run_tasks
+from gmdx.machine.tasks import run_tasks
+from tests.machine.work import die, own_pid, send_much, sleep_or_double, threads, unsendable, warn
 from tests.runs import interrupts_heard
-
-
-def double(x: int) -> int:
-    return 2 * x
-
-
-def die(x: int) -> int:
-    """Odd tasks end their process, each in another way."""
-    if x == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if x == 3:
-        os._exit(7)
-    if x == 5:
-        os.kill(os.getpid(), signal.SIGSEGV)
-    return 2 * x
-
-
-def refuse(x: int) -> int:
-    raise DatasetError(f"task {x} is refused")
-
-
-def threads(_: int) -> list[str | None]:
-    return [os.environ.get(name) for name in THREAD_VARIABLES]
-
-
-def die_once(marker: Path) -> str:
-    if not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return "done"
-
-
-def send_much(note: Path | None) -> bytes:
-    """A result that no pipe holds, after a note of who sends it."""
-    if note is None:
-        return b""
-    result = bytes(50_000_000)
-    note.write_text(f"{os.getpid()}.")
-    return result
-
-
-def unsendable(x: int) -> object:
-    if x:
-        raise ValueError("bad", lambda: None)
-    return lambda: None
-
-
-def own_pid(_: int) -> int:
-    return os.getpid()
-
-
-def sleep_long(_: int) -> int:
-    time.sleep(600)
-    return 0
-
-
-def warn(x: int) -> int:
-    logging.getLogger("gmdx").warning("task %d is odd, %s", x, Path("here"))
-    return x
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -87,96 +25,6 @@ def test_what_workers_log_is_logged_by_the_caller(
 ) -> None:
     assert len(list(run_tasks(warn, range(3), workers=workers))) == 3
     assert sorted(caplog.messages) == [f"task {k} is odd, here" for k in range(3)]
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_every_task_is_done_once(workers: int) -> None:
-    results = list(run_tasks(double, range(7), workers=workers))
-    assert sorted(item.task for item in results) == list(range(7))
-    assert all(item.result == 2 * item.task for item in results)
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_tasks_can_follow_from_results(workers: int) -> None:
-    """Every number begets its half."""
-    inbox, known, seen = Inbox(), [40, 7], []
-    given: dict[int, int] = {}
-    with contextlib.closing(open_executor(inbox, workers=workers)) as executor:
-        while known or given:
-            while known and len(given) < executor.places:
-                task = known.pop()
-                given[executor.give(double, task)] = task
-            done = inbox.take()
-            assert done.task == given.pop(done.attempt)
-            assert done.result == 2 * done.task
-            seen.append(done.task)
-            if done.task > 1:
-                known.append(done.task // 2)
-    assert sorted(seen) == sorted([40, 20, 10, 5, 2, 1, 7, 3, 1])
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_attempts_are_numbered_also_those_at_one_task(workers: int) -> None:
-    done = list(run_tasks(double, [5] * 6, workers=workers))
-    assert sorted(item.attempt for item in done) == [1, 2, 3, 4, 5, 6]
-
-
-def test_an_attempt_that_died_is_named_and_the_next_one_can_succeed(tmp_path: Path) -> None:
-    marker, inbox = tmp_path / "tried", Inbox()
-    with contextlib.closing(open_executor(inbox, workers=2)) as executor:
-        first = executor.give(die_once, marker)
-        died = inbox.take()
-        second = executor.give(die_once, marker)
-        done = inbox.take()
-    assert (died.attempt, done.attempt) == (first, second)
-    assert isinstance(died.result, Crash)
-    assert (died.result.exit_code, done.result) == (-signal.SIGKILL, "done")
-    assert second > first
-
-
-def test_results_of_a_thread_arrive_at_the_same_wait() -> None:
-    inbox, free = Inbox(), threading.Event()
-    with (
-        contextlib.closing(ThreadExecutor(inbox, name="device", cancel=free.set)) as thread,
-        contextlib.closing(open_executor(inbox, workers=2)) as processes,
-    ):
-        waiting = thread.give(free.wait, None)
-        doubled = processes.give(double, 4)
-        assert inbox.take() == Finished(4, doubled, 8)
-        threading.Timer(0.2, free.set).start()
-        assert inbox.take() == Finished(None, waiting, True)
-        thread.give(refuse, 3)
-        with pytest.raises(DatasetError, match="task 3 is refused"):
-            inbox.take()
-
-
-def test_many_results_can_wait_to_be_taken() -> None:
-    inbox = Inbox()
-    executor = open_executor(inbox, workers=1)
-    numbers = [executor.give(double, k) for k in range(2000)]
-    assert [inbox.take().attempt for _ in numbers] == numbers
-
-
-def test_waiting_costs_nothing() -> None:
-    """Processor time and wake-ups of the caller, while two workers sleep for two seconds.
-
-    A look every 20 ms would be 100 wake-ups.
-    """
-    with contextlib.closing(run_tasks(time.sleep, [0.0, 0.0, 2.0, 2.0], workers=2)) as running:
-        next(running), next(running)  # they have started
-        before = resource.getrusage(resource.RUSAGE_THREAD)
-        next(running)
-        after = resource.getrusage(resource.RUSAGE_THREAD)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert spent < 0.2
-    assert after.ru_nvcsw - before.ru_nvcsw < 50
-
-
-def test_an_unknown_executor_is_refused() -> None:
-    with pytest.raises(UsageError, match="unknown executor 'ray'; give one of serial, processes"):
-        open_executor(Inbox(), workers=2, name="ray")
 
 
 def test_one_worker_can_be_a_process_of_its_own() -> None:
@@ -222,29 +70,6 @@ def test_what_cannot_be_handed_over_is_an_error_that_says_so() -> None:
         list(run_tasks(unsendable, [1], workers=1, executor="processes"))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_ends_the_run(workers: int) -> None:
-    with pytest.raises(DatasetError, match="is refused"):
-        list(run_tasks(refuse, range(4), workers=workers))
-    assert not multiprocessing.active_children()
-
-
-def test_tasks_are_drawn_as_they_are_needed() -> None:
-    drawn = []
-
-    def tasks():  # type: ignore[no-untyped-def]
-        for k in range(100):
-            drawn.append(k)
-            yield k
-
-    running = run_tasks(double, tasks(), workers=2)
-    first: Finished[int, int] = next(running)
-    assert first.task in (0, 1)
-    assert len(drawn) <= 4
-    running.close()
-    assert not multiprocessing.active_children()
-
-
 def test_workers_compute_with_one_thread_and_the_caller_is_left_as_it_was() -> None:
     before = threads(0)
     (item,) = run_tasks(threads, [0], workers=2)
@@ -259,10 +84,6 @@ def test_closing_ends_workers_that_are_busy() -> None:
     running.close()
     assert time.monotonic() - start < 10
     assert not multiprocessing.active_children()
-
-
-def sleep_or_double(x: int) -> int:
-    return sleep_long(x) if x else double(x)
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")

@@ -1,11 +1,15 @@
 """Datasets whose trials ran in batches across objects."""
 
+import itertools
 import json
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
+from concurrent import futures
 from pathlib import Path
+from random import Random
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -15,9 +19,11 @@ pytest.importorskip("warp", reason="the extra gmdx[warp] is not installed")
 from gmdx.dataset.read import read_dataset
 from gmdx.errors import SceneError
 from gmdx.machine.devices import cuda_devices
-from gmdx.pipeline import device as batched
+from gmdx.machine.executor import Crash, Finished, Inbox
+from gmdx.machine.tasks import EXECUTORS
+from gmdx.pipeline.device import schedule
 from gmdx.pipeline.generate import GenerateConfig, generate
-from gmdx.pipeline.stages import Task
+from gmdx.pipeline.stages import ObjectOutcome, ReadyObject, Task, TriedObject
 from gmdx.trials.engines.parallel import ParallelEngine
 from gmdx.trials.placement import RawTrials, TrialBatch
 from gmdx.trials.protocol import TrialConfig
@@ -147,33 +153,128 @@ def test_breaking_off_ends_the_device_at_its_next_chunk(
     assert generate(meshes, tmp_path, _warp(cache)).counts["objects"] == 3
 
 
-def test_batches_are_made_while_one_is_on_the_device() -> None:
-    """The scheduler alone, with a device that never ends: one batch there, one in the making."""
+class Threads:
+    """A second executor, on a library of its own: what a cluster's would be."""
 
-    class Busy:
-        objects = 2
-        given: list[object] = []  # noqa: RUF012
+    def __init__(self, inbox: Inbox, places: int) -> None:
+        self.inbox, self.places = inbox, places
+        self.pool = futures.ThreadPoolExecutor(places)
 
-        def give(self, batch: object) -> None:
-            self.given.append(batch)
+    def give(self, function: Callable[[Any], Any], task: Any) -> int:
+        attempt = self.inbox.number()
 
-        def take(self) -> None:
-            return None
+        def hand_in(done: "futures.Future[Any]") -> None:
+            error = done.exception()
+            self.inbox.put(Finished(task, attempt, done.result()) if error is None else error)
 
-    def tasks() -> Iterator[Task]:
-        while True:
-            yield object.__new__(Task)
+        self.pool.submit(function, task).add_done_callback(hand_in)
+        return attempt
 
-    schedule = batched._Schedule(tasks(), Busy())  # type: ignore[arg-type]
-    stream, begun = schedule.next_tasks(), 0
-    for _ in range(20):
-        task = next(stream)
+    def close(self) -> None:
+        self.pool.shutdown(cancel_futures=True)
+
+
+@ON_CPU
+def test_another_executor_makes_the_same_bytes(
+    dataset: Path,
+    meshes: list[Path],
+    cache: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened = []
+
+    def threads(inbox: Inbox, workers: int) -> Threads:
+        opened.append(workers)
+        return Threads(inbox, workers)
+
+    monkeypatch.setitem(EXECUTORS, "processes", threads)
+    generate(meshes, tmp_path, _warp(cache, workers=2))
+    assert opened == [2]
+    assert contents(tmp_path) == contents(dataset)
+
+
+def blank(kind: type[Any], **fields: object) -> Any:
+    """A record of which only some fields matter."""
+    made = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+class Still:
+    """An executor whose attempts are done when the inbox says so."""
+
+    def __init__(self, places: int) -> None:
+        self.places = places
+        self.given: list[tuple[int, Any]] = []
+        self.seen: list[Any] = []
+
+    def give(self, function: object, task: Any) -> int:
+        assert len(self.given) < self.places
+        self.seen.append(task)
+        self.given.append((len(self.seen), task))
+        return len(self.seen)
+
+    def close(self) -> None: ...
+
+
+class Blocked(Exception):  # noqa: N818, it is no error
+    """The schedule waits for what never ends."""
+
+
+class Chance(Inbox):
+    """Ends attempts in random order, and now and then with a crash."""
+
+    def __init__(self, seed: int, *executors: Still, crashes: float) -> None:
+        super().__init__()
+        self.random, self.executors, self.crashes = Random(seed), executors, crashes
+
+    def take(self) -> Finished[Any, Any]:
+        busy = [executor for executor in self.executors if executor.given]
+        if not busy:
+            raise Blocked
+        given = self.random.choice(busy).given
+        attempt, task = given.pop(self.random.randrange(len(given)))
+        crashed = self.random.random() < self.crashes
+        return Finished(task, attempt, Crash("by chance") if crashed else self.done(task))
+
+    def done(self, task: Any) -> Any:
         if isinstance(task, Task):
-            begun += 1
-            result = object.__new__(batched.Begun)
-            assert schedule.take(batched.Finished(task, result)) is None
-    assert len(Busy.given) == 1
-    assert begun == 2 + 2
+            return blank(ReadyObject, task=task)
+        if isinstance(task, TriedObject):
+            return blank(ObjectOutcome)
+        return [
+            blank(TriedObject if self.random.random() < 0.8 else ObjectOutcome, task=ready.task)
+            for ready in task
+        ]
+
+
+@pytest.mark.parametrize("places", [1, 3])
+def test_a_batch_is_made_while_one_is_on_the_device(places: int) -> None:
+    """With a device that is never done: one batch there, one in the making, and then a wait."""
+    host, device = Still(places), Still(1)
+    endless = (blank(Task) for _ in itertools.count())
+    outcomes = schedule(endless, list, Chance(0, host, crashes=0.0), host, device, batch=2)
+    with pytest.raises(Blocked):
+        next(outcomes)
+    assert [len(batch) for batch in device.seen] == [2]
+    assert len(host.seen) == 2 + 2
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_every_object_comes_to_one_end_whatever_ends_first(seed: int) -> None:
+    random = Random(seed)
+    count, batch = random.randrange(9), random.randint(1, 4)
+    host, device = Still(random.randint(1, 4)), Still(1)
+    inbox = Chance(seed, host, device, crashes=random.choice([0.0, 0.2]))
+    tasks = [blank(Task) for _ in range(count)]
+    outcomes = list(schedule(iter(tasks), list, inbox, host, device, batch=batch))
+    assert sorted(id(item.task) for item in outcomes) == sorted(map(id, tasks))
+    assert not host.given
+    assert not device.given
+    *full, _ = device.seen or [[]]
+    assert all(len(made) == batch for made in full)
 
 
 def _rows(root: Path) -> pd.DataFrame:
