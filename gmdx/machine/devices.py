@@ -71,8 +71,8 @@ def implementation(name: str) -> str:
     """The implementation of an array kernel that a configured name stands for.
 
     `auto` is NumPy on every machine. JAX runs only where it is named: it was not measured faster
-    on a GPU or TPU of any kind, and on a CPU it compiles for some 20 s before it takes half to
-    four fifths of NumPy's time (`gmdx bench epsilon`). What it compiles is kept on disk.
+    on a GPU or TPU of any kind, and on a CPU it compiles for some 20 s before it takes 0.55 to
+    0.85 of NumPy's time (`gmdx bench epsilon`). What it compiles is kept on disk.
 
     Args:
         name: The name itself, or `auto`.

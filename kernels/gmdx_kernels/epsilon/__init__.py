@@ -3,8 +3,8 @@
 Both run one source, written against the array library they share, and are judged by closed
 forms and by the certified routine for single grasps. NumPy starts at once and is the one to
 use for up to some 100,000 grasps on a CPU; JAX first compiles for some 20 s, then takes about
-half the time a value (three quarters with its proof), and runs on accelerators. On one machine
-either gives a grasp the same bits in any batch; NumPy's values and directions are made by
+half the time a value (three quarters with its proof); on accelerators it was not measured. On one
+machine either gives a grasp the same bits in any batch; NumPy's values and directions are made by
 additions, multiplications, divisions and square roots in a fixed order (but for pairs that are
 flat or that torsion alone closes, where LAPACK has a say), so that they should not depend on
 the machine either.
