@@ -274,7 +274,7 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(
 ) -> None:
     words = ("generate", root / "meshes", "--out", tmp_path, "--workers", workers, *FLAGS)
     command = Command(*words, cache=cache)
-    command.wait_for(f"{PARTIAL}/objects/*", tmp_path)
+    command.wait_for(f"{PARTIAL}/run-*/*", tmp_path)  # an attempt at an object
     time.sleep(0.1)
     os.killpg(command.process.pid, signal.SIGINT)  # as a terminal does: workers, too
     command.finish()
