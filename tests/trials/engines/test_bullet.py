@@ -321,9 +321,9 @@ def test_without_pybullet_one_line_says_what_to_install(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not installed
-    for module in ("engine", "world"):
-        monkeypatch.delitem(sys.modules, f"gmdx.trials.engines.bullet.{module}")
-    monkeypatch.delattr("gmdx.trials.engines.bullet.engine")
+    for module in ("bullet.engine", "bullet.world", "bullet"):
+        monkeypatch.delitem(sys.modules, f"gmdx.trials.engines.{module}")
+    monkeypatch.delattr("gmdx.trials.engines.bullet")
     with pytest.raises(UsageError, match=r"pip install 'gmdx\[bullet\]'.* Python up to 3\.11"):
         run_trials(scene, _grasp((0.0, 0.0, 0.025)), "bullet")
     with pytest.raises(UsageError, match=r"gmdx\[bullet\]"):
