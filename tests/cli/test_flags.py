@@ -16,7 +16,7 @@ from gmdx.cli.main import main
 from gmdx.cli.sensitivity import Sensitivity
 from gmdx.config import as_toml, comments, load_toml, merge
 from gmdx.errors import ConfigError
-from gmdx.machine.processes import available_cores
+from gmdx.machine.cores import available_cores
 from gmdx.pipeline.config import GenerateConfig
 from gmdx.studies.bias import BiasConfig
 from gmdx.studies.sensitivity import SensitivityConfig
