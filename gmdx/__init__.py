@@ -8,7 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gmdx.dataset.read import Dataset, SceneView, read_dataset
+    from gmdx.dataset.read import Dataset, read_dataset
+    from gmdx.dataset.scenes import SceneView
     from gmdx.errors import Failure, GmdxError
     from gmdx.grasps.grasp import PadContacts, PlanarGrasp
     from gmdx.grasps.sample import SampleConfig, sample_grasps
@@ -88,7 +89,8 @@ __all__ = [
 ]
 
 _MODULES = {
-    "gmdx.dataset.read": ("Dataset", "SceneView", "read_dataset"),
+    "gmdx.dataset.read": ("Dataset", "read_dataset"),
+    "gmdx.dataset.scenes": ("SceneView",),
     "gmdx.errors": ("Failure", "GmdxError"),
     "gmdx.grasps.grasp": ("PadContacts", "PlanarGrasp"),
     "gmdx.grasps.sample": ("SampleConfig", "sample_grasps"),

@@ -16,8 +16,8 @@ from gmdx.dataset import schema
 from gmdx.pipeline.generate import GenerateConfig
 
 FILES = {
-    schema.OBJECT_FILE, schema.MESH_FILE, schema.HULLS_FILE, schema.SCENES_FILE,
-    schema.GRASPS_FILE, schema.COST_FILE,
+    "object.json", "mesh.ply", "hulls.npz", "scenes.npz", "grasps.parquet", "contacts.parquet",
+    "cost.json",
 }  # fmt: skip
 FLAGS = ("--grasps", "6", "--scenes", "2", "--trials", "2", "--seed", "5")
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
+import gmdx
 from gmdx.metrics.table import METRICS
+from tests.dataset.hand_built import write_dataset
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -43,6 +45,13 @@ def test_the_pinch_has_the_strength_that_the_example_says(
     assert lower <= upper == pytest.approx(0.04, rel=1e-6)
     # Both fingers pull straight up with 0.8 x 20 N.
     assert float(second) == pytest.approx(2 * 0.8 * 20 / (0.1 * 9.81), rel=1e-6)
+
+
+def test_labels_and_images_of_a_dataset_as_the_example_says(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "runs", "mug", "bowl")
+    names: dict[str, object] = {"gmdx": gmdx}
+    exec(EXAMPLES[2].replace("runs/demo", str(tmp_path / "runs")), names)
+    assert names["dataset"].label_tables == ("all_trials",)  # type: ignore[attr-defined]
 
 
 def test_pictures_are_there() -> None:

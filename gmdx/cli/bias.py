@@ -7,10 +7,9 @@ from typing import Any, ClassVar
 from rich.table import Table
 
 from gmdx.cli.exits import Exit
-from gmdx.cli.options import ConfigFile, CountOrAll, DatasetFolder, Folder, OtherGripper, Settings
+from gmdx.cli.options import ConfigFile, CountOrAll, DatasetFolder, Folder, Settings
 from gmdx.cli.terminal import console, following, say
 from gmdx.machine.cores import available_cores
-from gmdx.scenes.gripper import load_gripper
 from gmdx.studies.bias import BiasConfig, bias_study, summary, summary_head
 
 
@@ -28,19 +27,14 @@ class Bias:
     out: Folder
     """folder of the study: pairs.parquet, bias.json, report.html"""
     config: ConfigFile = None
-    gripper: OtherGripper = None
-    """where the dataset was made with a gripper of your own"""
     settings: Settings[BiasConfig] = field(
         default_factory=lambda: BiasConfig(workers=available_cores())
     )
 
     def run(self) -> int:
         """Run the study, and show how far the engines agree."""
-        gripper = None if self.gripper is None else load_gripper(self.gripper)
         with following("grasps", things="replays") as show:
-            study = bias_study(
-                self.dataset, self.out, self.settings, gripper=gripper, on_progress=show
-            )
+            study = bias_study(self.dataset, self.out, self.settings, on_progress=show)
         table = Table(*summary_head(study), title=f"{study.engines.grasps} grasps in both engines")
         for row in summary(study):
             table.add_row(*row)

@@ -25,9 +25,6 @@ BenchObjects = Annotated[tuple[str, ...], Positional, arg(metavar="OBJECTS...")]
 Folder = Annotated[Path, arg(metavar="DIR")]
 File = Annotated[Path, arg(metavar="FILE")]
 GripperName = Annotated[str, arg(metavar="NAME|FILE")]
-OtherGripper = Annotated[
-    str | None, arg(metavar="NAME|FILE", help_behavior_hint="(default: the dataset's)")
-]
 NameList = Annotated[str, arg(metavar="NAME,NAME,...")]
 NumberList = Annotated[str, arg(metavar="N,N,...")]
 Json = Annotated[FlagCreatePairsOff[bool], arg(help="print JSON instead of a table")]

@@ -6,12 +6,11 @@ from typing import Annotated
 from tyro.conf import arg
 
 from gmdx.cli.exits import Exit
-from gmdx.cli.options import CountOrAll, DatasetFolder, File, OtherGripper
+from gmdx.cli.options import CountOrAll, DatasetFolder, File
 from gmdx.cli.terminal import say
 from gmdx.dataset.read import read_dataset
 from gmdx.pictures.figure import DrawConfig, save_figure
-from gmdx.pictures.show import grasp_picture, scene_picture, shipped_gripper
-from gmdx.scenes.gripper import load_gripper
+from gmdx.pictures.show import grasp_picture, scene_picture
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,6 @@ class Show:
     """draw at most so many grasps, spread over the scene; 0: all"""
     grasp: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: none)")] = None
     """draw this grasp from close up instead"""
-    gripper: OtherGripper = None
-    """for a close-up, where the dataset was made with a gripper of your own"""
 
     def run(self) -> int:
         """Write the picture."""
@@ -44,9 +41,7 @@ class Show:
                 dataset, self.object, self.scene, metric=self.metric, view=self.view, most=self.most
             )
         else:
-            given = self.gripper
-            gripper = shipped_gripper(dataset) if given is None else load_gripper(given)
-            figure = grasp_picture(dataset, self.object, self.scene, self.grasp, gripper=gripper)
+            figure = grasp_picture(dataset, self.object, self.scene, self.grasp)
         save_figure(figure, self.out)
         say(f"wrote {self.out}")
         return Exit.DONE

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gmdx.arrays import Array, Float
+from gmdx.dataset.labels import dataset_digest, misfit_of
 from gmdx.dataset.read import Dataset
 from gmdx.dataset.schema import OUTCOMES
 from gmdx.errors import Failure
@@ -36,6 +37,17 @@ class ObjectLine:
 
 
 @dataclass(frozen=True)
+class LabelLine:
+    """One label table."""
+
+    name: str
+    labelled: int  # grasps
+    positive: int  # of these
+    made_by: str
+    misfit: str | None  # why it is not for the dataset as it is now
+
+
+@dataclass(frozen=True)
 class Overview:
     """A dataset in figures."""
 
@@ -47,6 +59,7 @@ class Overview:
     failures: tuple[Failure, ...]
     seconds: Mapping[str, float]  # processor seconds by stage, over all objects
     evidence: Evidence  # how well the epsilon qualities are known, over all objects
+    labels: tuple[LabelLine, ...] = ()
 
     @property
     def grasps(self) -> int:
@@ -84,7 +97,17 @@ def overview(dataset: Dataset) -> Overview:
         failures=tuple(dataset.failures),
         seconds=seconds,
         evidence=evidence,
+        labels=tuple(_label_lines(dataset)),
     )
+
+
+def _label_lines(dataset: Dataset) -> Iterator[LabelLine]:
+    names = dataset.label_tables
+    now = dataset_digest(dataset.root, dataset.info) if names else None
+    for name in names:
+        about = dataset.describe_labels(name)
+        misfit = None if now is None else misfit_of(about, now)
+        yield LabelLine(name, about["labelled"], about["positive"], about["made_by"], misfit)
 
 
 def _line(
@@ -119,6 +142,8 @@ def tables(view: Overview) -> Iterator[Table]:
         yield _missing(view)
     if view.evidence.qualities:
         yield _qualities(view.evidence.qualities)
+    if view.labels:
+        yield _labels(view)
     if view.seconds:
         yield _shares("Processor seconds", view.seconds, ".1f")
     if view.failures:
@@ -197,6 +222,24 @@ def _qualities(tallies: Mapping[str, Tally]) -> Table:
             _number(tally.worst_gap, ".1e"),
             str(tally.audited),
             _number(tally.worst_audit if tally.audited else float("nan"), ".1e"),
+        )
+    return table
+
+
+def _labels(view: Overview) -> Table:
+    table = Table("labels", title="Label tables", title_justify="left")
+    for name in ("grasps", "of all", "positive"):
+        table.add_column(name, justify="right")
+    table.add_column("made by", overflow="fold")
+    table.add_column("fits the dataset", overflow="fold")
+    for line in view.labels:
+        table.add_row(
+            line.name,
+            str(line.labelled),
+            _percent(line.labelled / view.grasps if view.grasps else float("nan")),
+            _percent(line.positive / line.labelled if line.labelled else float("nan")),
+            escape(line.made_by),
+            "yes" if line.misfit is None else f"no: {line.misfit}",
         )
     return table
 

@@ -1,37 +1,32 @@
 """Reading a dataset: nothing is loaded before it is asked for."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from gmdx.config import merge
 from gmdx.dataset import schema
+from gmdx.dataset.gripper import read_gripper
+from gmdx.dataset.label_rows import KEY
+from gmdx.dataset.labels import LabelTable, label_names, open_labels, read_about, write_labels
+from gmdx.dataset.objects import read_object
+from gmdx.dataset.scenes import SceneView, StoredImages, read_physics, read_scene
 from gmdx.dataset.store import read_failures
-from gmdx.errors import ConfigError, DatasetError, Failure, UsageError
-from gmdx.files.formats import read_json, read_npz, read_ply
+from gmdx.dataset.tables import NotFoundError, chosen, object_folder, object_ids, read_rows
+from gmdx.errors import DatasetError, Failure
+from gmdx.files.formats import read_json
 from gmdx.grasps.grasp import PlanarGrasp
 from gmdx.metrics.quality import Evidence, Tally
-from gmdx.objects.model import ObjectModel, OrientedBox, StablePoses
+from gmdx.objects.model import ObjectModel
 from gmdx.scenes.camera import DepthImage
+from gmdx.scenes.gripper import Gripper
 from gmdx.scenes.physics import PhysicsConfig
-from gmdx.scenes.scene import Scene
 
-
-class NotFoundError(DatasetError, UsageError):
-    """There is no such dataset, or nothing of that name in it."""
-
-
-@dataclass(frozen=True)
-class SceneView:
-    """A scene as it is on disk: the object at rest, and its images."""
-
-    scene: Scene
-    images: tuple[DepthImage, ...]  # by view
+if TYPE_CHECKING:
+    from gmdx.dataset.label_rows import TableLike
 
 
 @dataclass(frozen=True)
@@ -48,10 +43,7 @@ class Dataset:
         Raises:
             DatasetError: Their folder is gone.
         """
-        folder = self.root / schema.OBJECTS_FOLDER
-        if not folder.is_dir():
-            raise DatasetError(f"{self.root} has no folder {folder.name}; the dataset is damaged")
-        return tuple(sorted(path.name for path in folder.iterdir() if path.is_dir()))
+        return object_ids(self.root)
 
     @property
     def failures(self) -> list[Failure]:
@@ -65,17 +57,12 @@ class Dataset:
         Raises:
             DatasetError: `dataset.json` does not say, or not in a way that this version knows.
         """
-        given = self.info["configuration"].get("physics", {})
-        unsaid = sorted({field.name for field in fields(PhysicsConfig)} - set(given))
-        if unsaid:
-            raise DatasetError(
-                f"{self.root / schema.DATASET_FILE} does not say under which physics its scenes "
-                f"are: configuration.physics lacks {', '.join(unsaid)}; make the dataset anew"
-            )
-        try:
-            return merge(PhysicsConfig(), given, where="physics")
-        except ConfigError as error:
-            raise DatasetError(f"{self.root / schema.DATASET_FILE}: {error}") from error
+        return read_physics(self.root / schema.DATASET_FILE, self.info)
+
+    @property
+    def label_tables(self) -> tuple[str, ...]:
+        """Names of the label tables, sorted."""
+        return label_names(self.root)
 
     def scenes(self, object_id: str) -> tuple[int, ...]:
         """Ids of an object's scenes.
@@ -91,7 +78,7 @@ class Dataset:
         Raises:
             DatasetError: There is no such object.
         """
-        described: dict[str, Any] = read_json(self._folder(object_id) / schema.OBJECT_FILE)
+        described: dict[str, Any] = read_json(self._file(object_id, schema.OBJECT_FILE))
         return described
 
     def cost(self, object_id: str) -> dict[str, Any]:
@@ -100,8 +87,7 @@ class Dataset:
         Raises:
             DatasetError: There is no such object.
         """
-        cost: dict[str, Any] = read_json(self._folder(object_id) / schema.COST_FILE)
-        return cost
+        return read_json(self._file(object_id, schema.COST_FILE))
 
     def evidence(self, object_id: str) -> Evidence:
         """What the metrics of an object rest on: kernels that ran, how well qualities are known.
@@ -119,6 +105,7 @@ class Dataset:
         scene_id: int | None = None,
         *,
         columns: Sequence[str] | None = None,
+        labels: str | None = None,
     ) -> pa.Table:
         """Annotated grasps as an arrow table; each field's metadata holds unit and definition.
 
@@ -126,24 +113,120 @@ class Dataset:
             object_id: Of one object, or of all.
             scene_id: Of one scene, or of all.
             columns: Names of the columns to read; all by default.
+            labels: Name of a label table, whose columns come after these: null where a grasp has
+                no label.
 
         Raises:
-            DatasetError: There is no such object, scene or column.
+            DatasetError: There is no such object, scene, column or label table, or the labels do
+                not fit the dataset any more.
         """
+        table = None if labels is None else open_labels(self.root, self.info, labels)
         ids = self.objects if object_id is None else (object_id,)
-        tables = [self._rows(name, scene_id, columns) for name in ids]
-        if not tables:
-            return self._schema(columns).empty_table()
-        return pa.concat_tables(tables)
+        if ids:
+            return pa.concat_tables(self._rows(each, scene_id, columns, table) for each in ids)
+        empty = chosen(schema.SCHEMA, columns)
+        further = [] if table is None else [f for f in table.schema if f.name not in KEY]
+        return pa.schema([*empty, *further], empty.metadata).empty_table()
 
-    def batches(self, *, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    def batches(
+        self, *, columns: Sequence[str] | None = None, labels: str | None = None
+    ) -> Iterator[pa.Table]:
         """The grasps object by object, for datasets that do not fit into memory.
 
+        Args:
+            columns: As of `grasps`.
+            labels: As of `grasps`.
+
         Raises:
-            DatasetError: There is no such column.
+            DatasetError: There is no such column or label table, or the labels do not fit.
         """
+        table = None if labels is None else open_labels(self.root, self.info, labels)
         for object_id in self.objects:
-            yield self._rows(object_id, None, columns)
+            yield self._rows(object_id, None, columns, table)
+
+    def contacts(
+        self,
+        object_id: str | None = None,
+        scene_id: int | None = None,
+        *,
+        grasp_id: int | None = None,
+        source: str | None = None,
+    ) -> pa.Table:
+        """Contact points of grasps, a row each; each field's metadata holds unit and definition.
+
+        Args:
+            object_id: Of one object, or of all.
+            scene_id: Of one scene, or of all.
+            grasp_id: Of the grasps of one id, or of all.
+            source: One of original, analytical and simulative; all by default.
+
+        Raises:
+            DatasetError: There is no such object, scene or source.
+        """
+        if source is not None and source not in schema.SOURCES:
+            raise NotFoundError(f"no source {source!r}: there are {', '.join(schema.SOURCES)}")
+        only = {"scene_id": scene_id, "grasp_id": grasp_id, "source": source}
+        tables = [schema.CONTACT_SCHEMA.empty_table()]
+        for name in self.objects if object_id is None else (object_id,):
+            self._check_scene(name, scene_id)
+            tables.append(read_rows(self._file(name, schema.CONTACTS_FILE), only=only))
+        return pa.concat_tables(tables)
+
+    def labels(self, name: str) -> pa.Table:
+        """A label table: a row per labelled grasp, in the order of the grasps.
+
+        Raises:
+            DatasetError: There is no such table, it is damaged, or the dataset was made anew or
+                has grown since.
+        """
+        return open_labels(self.root, self.info, name).rows()
+
+    def describe_labels(self, name: str) -> dict[str, Any]:
+        """What `label.json` says: what made a label table, from what, how many it labels.
+
+        Raises:
+            DatasetError: There is no such table.
+        """
+        return read_about(self.root, name)
+
+    def write_labels(
+        self,
+        name: str,
+        table: "TableLike",
+        *,
+        made_by: str,
+        made_from: Mapping[str, Any] | None = None,
+        packages: Sequence[str] = (),
+        overwrite: bool = False,
+    ) -> None:
+        """Add a label table; nothing that is there is touched.
+
+        Args:
+            name: Of the table: letters, digits, dots, dashes and underscores.
+            table: Columns `object_id`, `scene_id`, `grasp_id`, `label` (true and false, or 1 and
+                0), and if there are any `score` (null where a grasp has none) and further ones.
+                Grasps may be left out, and come in any order.
+            made_by: What made the labels.
+            made_from: What they depend on: settings, and names of what was used.
+            packages: Further packages that they depend on; their versions are kept.
+            overwrite: Replace a table of that name.
+
+        Raises:
+            LabelError: The name or the table cannot be taken.
+            StorageError: The disk refused.
+        """
+        write_labels(
+            self.root, self.info, name, table,
+            made_by=made_by, made_from=made_from, packages=packages, overwrite=overwrite,
+        )  # fmt: skip
+
+    def gripper(self) -> Gripper:
+        """The gripper that the dataset was made with, from the dataset's own files.
+
+        Raises:
+            DatasetError: They are missing, damaged or another gripper's.
+        """
+        return read_gripper(self.root, self.info["gripper"])
 
     def object(self, object_id: str) -> ObjectModel:
         """The prepared object, as physics saw it.
@@ -151,99 +234,67 @@ class Dataset:
         Raises:
             DatasetError: There is no such object, or its files are damaged.
         """
-        folder = self._folder(object_id)
-        described = self.describe(object_id)
-        vertices, faces = read_ply(folder / schema.MESH_FILE)
-        packed = read_npz(folder / schema.HULLS_FILE)
-        hulls = np.split(packed["vertices"], np.cumsum(packed["counts"])[:-1])
-        poses = {key: np.array(value, float) for key, value in described["stable_poses"].items()}
-        return ObjectModel(
-            object_id=object_id,
-            vertices=vertices,
-            faces=faces,
-            hulls=tuple(hulls),
-            mass=described["mass"],
-            friction=described["friction"],
-            inertia=np.array(described["inertia"]),
-            scale=described["scale"],
-            box=OrientedBox(**{key: np.array(value) for key, value in described["box"].items()}),
-            stable_poses=StablePoses(
-                quaternions=poses["quaternions"].reshape(-1, 4),
-                heights=poses["heights"],
-                probabilities=poses["probabilities"],
-            ),
-            report=described["report"],
-        )
+        return read_object(object_folder(self.root, object_id))
 
     def scene(self, object_id: str, scene_id: int) -> SceneView:
-        """One scene: the object's pose, and depth and segmentation by view.
+        """One scene: the object's pose, and its images, none of which is read yet.
 
         Raises:
             DatasetError: There is no such object or scene, or its files are damaged.
         """
-        obj = self.object(object_id)
-        arrays = read_npz(self._folder(object_id) / schema.SCENES_FILE)
-        known = arrays["scene_id"].tolist()
-        if scene_id not in known:
+        obj, path = self.object(object_id), self._file(object_id, schema.SCENES_FILE)
+        scene = read_scene(path, obj, scene_id, seed=int(self.info["seed"]), physics=self.physics)
+        return SceneView(scene, StoredImages.of(path, scene_id))
+
+    def images(self, object_id: str, scene_id: int) -> StoredImages:
+        """The views of a scene; a view is read when it is taken, and no other is.
+
+        Raises:
+            DatasetError: There is no such object or scene, or its files are damaged.
+        """
+        return StoredImages.of(self._file(object_id, schema.SCENES_FILE), scene_id)
+
+    def image(self, object_id: str, scene_id: int, view: int = 0) -> DepthImage:
+        """One view of a scene; no other image is read.
+
+        Raises:
+            DatasetError: There is no such object, scene or view, or its files are damaged.
+        """
+        images = self.images(object_id, scene_id)
+        if not 0 <= view < len(images):
             raise NotFoundError(
-                f"object {object_id!r} in {self.root} has no scene {scene_id}; it has {known}"
+                f"no view {view} of scene {scene_id} of object {object_id!r}; it has the views "
+                f"0 to {len(images) - 1}"
             )
-        k = known.index(scene_id)
-        pose = arrays["object_pose"][k]
-        images = tuple(
-            DepthImage(
-                depth=arrays["depth"][k, view],
-                segmentation=arrays["segmentation"][k, view],
-                intrinsics=arrays["intrinsics"],
-                pose=arrays["camera_pose"][k, view],
-            )
-            for view in range(arrays["depth"].shape[1])
-        )
-        scene = Scene(
-            object=obj,
-            scene_id=scene_id,
-            seed=int(self.info["seed"]),
-            position=pose[:3],
-            quaternion=pose[3:],
-            settle_time=float(arrays["settle_time"][k]),
-            physics=self.physics,
-        )
-        return SceneView(scene=scene, images=images)
+        return images[view]
 
-    def _folder(self, object_id: str) -> Path:
-        folder = self.root / schema.OBJECTS_FOLDER / object_id
-        if Path(object_id).name != object_id or object_id in ("", "..") or not folder.is_dir():
-            known = ", ".join(self.objects[:8]) + (", ..." if len(self.objects) > 8 else "")
-            raise NotFoundError(f"{self.root} has no object {object_id!r}; it has: {known}")
-        return folder
+    def _file(self, object_id: str, name: str) -> Path:
+        return object_folder(self.root, object_id) / name
 
-    def _schema(self, columns: Sequence[str] | None) -> pa.Schema:
-        """The schema of the named columns."""
-        if columns is None:
-            return schema.SCHEMA
-        unknown = sorted(set(columns) - set(schema.SCHEMA.names))
-        if unknown:
-            raise NotFoundError(
-                f"no column {unknown[0]!r}; the columns are: {', '.join(schema.SCHEMA.names)}"
-            )
-        return pa.schema([schema.SCHEMA.field(name) for name in columns])
-
-    def _rows(
-        self, object_id: str, scene_id: int | None, columns: Sequence[str] | None
-    ) -> pa.Table:
-        """Rows of one object, or of one of its scenes."""
-        path = self._folder(object_id) / schema.GRASPS_FILE
-        names = self._schema(columns).names
+    def _check_scene(self, object_id: str, scene_id: int | None) -> None:
+        """Refuse a scene that an object does not have."""
         if scene_id is not None and scene_id not in self.scenes(object_id):
             raise NotFoundError(
                 f"object {object_id!r} in {self.root} has no scene {scene_id}; "
                 f"it has {list(self.scenes(object_id))}"
             )
-        chosen = None if scene_id is None else [("scene_id", "==", scene_id)]
-        try:
-            return pq.read_table(path, columns=names, filters=chosen, partitioning=None)
-        except (OSError, pa.ArrowInvalid) as error:
-            raise DatasetError(f"cannot read {path}: {error}; the dataset is damaged") from error
+
+    def _rows(
+        self,
+        object_id: str,
+        scene_id: int | None,
+        columns: Sequence[str] | None,
+        labels: LabelTable | None,
+    ) -> pa.Table:
+        """Rows of one object, or of one of its scenes."""
+        path = self._file(object_id, schema.GRASPS_FILE)
+        names, only = chosen(schema.SCHEMA, columns).names, {"scene_id": scene_id}
+        self._check_scene(object_id, scene_id)
+        if labels is None:
+            return read_rows(path, columns=names, only=only)
+        keyed = [*names, *(name for name in KEY if name not in names)]
+        joined = labels.join(read_rows(path, columns=keyed, only=only), object_id)
+        return joined.drop_columns(keyed[len(names) :])
 
 
 def read_dataset(path: str | Path) -> Dataset:
@@ -263,7 +314,8 @@ def read_dataset(path: str | Path) -> Dataset:
     version = info.get("schema_version")
     if version != schema.SCHEMA_VERSION:
         raise DatasetError(
-            f"{root} has schema version {version}; this gmdx reads {schema.SCHEMA_VERSION}"
+            f"{root} has schema version {version} and this gmdx reads {schema.SCHEMA_VERSION}: "
+            "make it anew"
         )
     return Dataset(root=root, info=info)
 

@@ -1,19 +1,26 @@
-"""The layout of a dataset: names of files, and the columns of `grasps.parquet`.
+"""The layout of a dataset: names of files, and the columns of its tables.
 
 ```
 <root>/
   dataset.json            schema version, configuration, seed, package versions, engine, counts
+  gripper/                gripper.toml, the MJCF model that it names, and the model's files
   failures.jsonl          a line for each object or scene that was not produced
   objects/<object_id>/
     object.json           source, repair, scale, mass, inertia, stable poses; scenes and failures;
                           kernels: which engine and implementations ran; qualities: by metric,
-                          how many values, how many certified, the worst gap, what an audit found
+                          how many values, how many certified, the worst gap, what an audit found;
+                          files: SHA-256 of each file below, cost.json aside
     mesh.ply  hulls.npz   what physics saw
-    scenes.npz            by scene and view: depth (scene, view, H, W) float32 m, segmentation
-                          uint8, intrinsics (3, 3), camera_pose (scene, view, 4, 4) camera to
-                          world; by scene: scene_id, object_pose (x y z, then wxyz), settle_time
+    scenes.npz            an array a scene and view, so that an image is read alone:
+                          depth_<scene>_<view> (H, W) float32 m, segmentation_<scene>_<view>
+                          uint8; by scene: scene_id, object_pose (x y z, then wxyz), settle_time,
+                          camera_pose (scene, view, 4, 4) camera to world; intrinsics (3, 3)
     grasps.parquet        a row per grasp, in the order of (scene_id, grasp_id)
+    contacts.parquet      a row per contact point, in the order of the grasps
     cost.json             seconds by stage: what producing this object took
+  labels/<name>/          a label table that was added later; see `gmdx.dataset.labels`
+    labels.parquet        a row per labelled grasp: object_id, scene_id, grasp_id, label, score, ...
+    label.json            what made it, from what, and the digest of the dataset that it is for
 ```
 
 Every file but `cost.json` holds the same bytes whenever the same command runs with the same
@@ -27,7 +34,7 @@ import pyarrow as pa
 from gmdx.metrics.table import METRICS
 from gmdx.trials.outcome import Outcome
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 DATASET_FILE = "dataset.json"
 FAILURES_FILE = "failures.jsonl"
@@ -37,14 +44,24 @@ MESH_FILE = "mesh.ply"
 HULLS_FILE = "hulls.npz"
 SCENES_FILE = "scenes.npz"
 GRASPS_FILE = "grasps.parquet"
+CONTACTS_FILE = "contacts.parquet"
 COST_FILE = "cost.json"
+GRIPPER_FOLDER = "gripper"
+GRIPPER_FILE = "gripper.toml"
+LABELS_FOLDER = "labels"
+LABELS_FILE = "labels.parquet"
+LABEL_FILE = "label.json"
 
-ROW_GROUP = 4096  # rows; fixed, so that the bytes do not depend on how grasps were batched
+DATA_FILES = (MESH_FILE, HULLS_FILE, SCENES_FILE, GRASPS_FILE, CONTACTS_FILE)  # of an object
+RESULT_FILES = (OBJECT_FILE, *DATA_FILES)  # that it must have; its costs may go missing
+
+ROW_GROUP = 4096  # grasps; fixed, so that the bytes do not depend on how grasps were batched
+CONTACT_ROW_GROUP = 65536  # contacts, likewise
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of `grasps.parquet`."""
+    """One column of a table."""
 
     name: str
     type: pa.DataType
@@ -93,4 +110,23 @@ OUTCOME = (
 COLUMNS = (*IDENTITY, *GRASP, *METRIC_COLUMNS, *BOUNDS, *OUTCOME)
 SCHEMA = pa.schema(
     [column.field for column in COLUMNS], metadata={"gmdx_schema_version": str(SCHEMA_VERSION)}
+)
+
+
+SOURCES = ("original", "analytical", "simulative")  # of a grasp's contacts
+CONTACT = (
+    Column("source", pa.string(), "", "original: where the closing line through the grasp's centre "
+           "first meets the surface from either side (metric 6); analytical: every first-touch "
+           "point of a pad that closes on the object at rest (8 to 15); simulative: what carried "
+           "force at the end of closing in the nominal trial (16 to 23)"),
+    Column("pad", pa.int8(), "", "0: on the negative side of the closing axis; 1: on the positive"),
+    *(Column(axis, pa.float64(), "m", "contact point in the object's frame, whose origin is the "
+             "centre of mass") for axis in "xyz"),
+    *(Column(f"normal_{axis}", pa.float64(), "", "unit normal into the object, in its frame")
+      for axis in "xyz"),
+)  # fmt: skip
+CONTACT_COLUMNS = (*IDENTITY, *CONTACT)
+CONTACT_SCHEMA = pa.schema(
+    [column.field for column in CONTACT_COLUMNS],
+    metadata={"gmdx_schema_version": str(SCHEMA_VERSION)},
 )

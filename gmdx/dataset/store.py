@@ -10,15 +10,9 @@ from gmdx.dataset import schema
 from gmdx.errors import DatasetError, Failure
 from gmdx.files.folder import Kind, OutputError, RunFolder, writing
 from gmdx.files.formats import read_json, write_text
+from gmdx.scenes.gripper import Gripper, save_gripper
 
 DATASET = Kind("dataset", schema.DATASET_FILE, folders=(schema.OBJECTS_FOLDER,))
-_RESULTS = (  # of an object; its costs may go missing
-    schema.OBJECT_FILE,
-    schema.MESH_FILE,
-    schema.HULLS_FILE,
-    schema.SCENES_FILE,
-    schema.GRASPS_FILE,
-)
 
 
 class DatasetStore:
@@ -74,13 +68,26 @@ class DatasetStore:
         """
         found = [folder for folder in self.objects.iterdir() if folder.is_dir()]
         for folder in sorted(found):
-            lost = [name for name in _RESULTS if not (folder / name).is_file()]
+            lost = [name for name in schema.RESULT_FILES if not (folder / name).is_file()]
             if lost:
                 raise OutputError(
                     f"{folder} has no {', '.join(lost)}: the dataset is damaged; remove that "
                     "folder, and the same command makes the object anew"
                 )
         return {folder.name for folder in found}
+
+    def put_gripper(self, gripper: Gripper) -> None:
+        """Put the gripper's files into place, unless they are there already.
+
+        Raises:
+            StorageError: The disk refused.
+            GripperError: The gripper was changed after it was loaded.
+        """
+        if not (self.root / schema.GRIPPER_FOLDER).is_dir():
+            attempt = self._folder.attempt(schema.GRIPPER_FOLDER)
+            with writing(self.root):
+                save_gripper(gripper, attempt / schema.GRIPPER_FILE)
+            self._folder.publish(attempt, schema.GRIPPER_FOLDER)
 
     def attempt(self, object_id: str) -> Path:
         """A new folder to write an object into, once; nothing is there yet."""

@@ -79,6 +79,7 @@ def generate(
     produced = 0
 
     with DatasetStore(out, _header(config, gripper)) as store:
+        store.put_gripper(gripper)
         present = store.complete()
         for source in sources:
             if source.object_id in present:

@@ -80,6 +80,7 @@ def scene_model(obj: ObjectModel, physics: PhysicsConfig) -> mujoco.MjModel:
 def grasp_model(obj: ObjectModel, gripper: Gripper, physics: PhysicsConfig) -> GraspModel:
     """The gripper above the table with the object, driven in height and opening."""
     spec = table_and_object(obj, physics)
+    spec.assets.update(gripper.files)  # attaching a body leaves its files behind
     mount = spec.worldbody.add_body(name=MOUNT, gravcomp=1.0)
     mount.add_joint(
         name=MOUNT,

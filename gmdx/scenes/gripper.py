@@ -7,10 +7,11 @@ force-limited actuator, so that every gripper closes by the same rule.
 
 import hashlib
 import tomllib
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import mujoco
@@ -36,8 +37,9 @@ class Gripper:
     """
 
     name: str
-    xml: str  # MJCF with one root body
-    files: Mapping[str, bytes]  # what the MJCF refers to, by file name
+    description: str = field(repr=False)  # the TOML text
+    xml: str = field(repr=False)  # MJCF with one root body
+    files: Mapping[str, bytes] = field(repr=False)  # what the MJCF refers to, by file name
     joints: tuple[str, str]  # slide joints of finger 0 and 1
     pads: tuple[str, str]  # box geoms of finger 0 and 1
     stroke: float  # m, largest opening between the pads' faces
@@ -78,35 +80,110 @@ def load_gripper(name_or_file: str | Path = DEFAULT_GRIPPER) -> Gripper:
         GripperError: The name is unknown, or the description and its model do not fit.
     """
     text = str(name_or_file)
-    if text in shipped_grippers():
-        folder = files("gmdx_assets") / "grippers"
-        description = tomllib.loads((folder / f"{text}.toml").read_text())
-        return _gripper(description, (folder / description["model"]).read_text(), {}, where=text)
-    path = Path(name_or_file)
+    shipped = text in shipped_grippers()
+    path = Path(str(files("gmdx_assets") / "grippers" / f"{text}.toml")) if shipped else Path(text)
     if not path.is_file():
         raise GripperError(
             f"no gripper '{text}': give one of {', '.join(shipped_grippers())}, "
             "or the path of a description (a TOML file)"
         )
     try:
-        description = tomllib.loads(path.read_text())
+        description = path.read_text(encoding="utf-8")
+        named = tomllib.loads(description).get("model", "")
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise GripperError(f"{path} is not a TOML file: {error}") from error
-    model = path.parent / str(description.get("model", ""))
-    if not model.is_file():
+    model = path.parent / str(named)
+    if not _inside(str(named)) or not model.is_file():
         raise GripperError(f"{path}: the field 'model' must name an MJCF file beside it")
-    beside = {
-        f.name: f.read_bytes()
-        for f in sorted(path.parent.rglob("*"))
-        if f.suffix.lower() in {".obj", ".stl", ".msh"}
+    xml = model.read_text(encoding="utf-8")
+    return _gripper(description, xml, _files_of(xml, model.parent, where=text), where=text)
+
+
+def save_gripper(gripper: Gripper, description: Path) -> None:
+    """Write a gripper's files, so that `load_gripper(description)` gives the same one anywhere.
+
+    Args:
+        gripper: As it was loaded.
+        description: The TOML file to write; its MJCF model and that model's files come beside it.
+
+    Raises:
+        GripperError: It was changed since it was loaded, so that its description is another's.
+    """
+    model = description.parent / str(tomllib.loads(gripper.description)["model"])
+    places = _places(gripper.xml)
+    contents = {
+        description: gripper.description.encode(),
+        model: gripper.xml.encode(),
+        **{
+            model.parent / (place if _inside(str(place := places[name])) else name): content
+            for name, content in gripper.files.items()
+        },
     }
-    return _gripper(description, model.read_text(), beside, where=str(path))
+    for path, content in contents.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    if gripper_record(load_gripper(description)) != gripper_record(gripper):
+        raise GripperError(
+            f"the gripper {gripper.name!r} was changed after it was loaded, so its description "
+            "does not say what it is: write a description of the changed one and load that"
+        )
 
 
-def _gripper(
-    description: dict[str, Any], xml: str, beside: Mapping[str, bytes], *, where: str
-) -> Gripper:
+def _inside(path: str) -> bool:
+    """Whether a path stays in the folder that it starts from, and names something in it."""
+    pure = PurePosixPath(path)
+    return bool(pure.parts) and not pure.is_absolute() and ".." not in pure.parts
+
+
+def _places(xml: str) -> dict[str, PurePosixPath]:
+    """Where the files that an MJCF model refers to lie, from the model's folder, by file name."""
+    root = ET.fromstring(xml)
+    folders = {
+        kind: compiler.get(f"{kind}dir", compiler.get("assetdir"))
+        for compiler in root.iter("compiler")
+        for kind in ("mesh", "texture")
+    }
+    places: dict[str, PurePosixPath] = {}
+    for element in root.iter():
+        if (file := element.get("file")) is not None:
+            folder = folders.get("texture" if element.tag == "texture" else "mesh")
+            place = PurePosixPath(folder if folder is not None else "", file)
+            if places.setdefault(place.name, place) != place:
+                raise GripperError(
+                    f"the model refers to {places[place.name]} and to {place}: MuJoCo tells them "
+                    "apart by their file names alone, so rename one"
+                )
+    return places
+
+
+def _files_of(xml: str, folder: Path, *, where: str) -> dict[str, bytes]:
+    """What a model refers to, by file name: from where it says, or from anywhere beneath.
+
+    A file that is not there is left to MuJoCo to name.
+    """
+    try:
+        places = _places(xml)
+    except ET.ParseError as error:
+        raise GripperError(f"gripper {where}: MuJoCo cannot read its model: {error}") from error
+    except GripperError as error:
+        raise GripperError(f"gripper {where}: {error}") from error
+    contents: dict[str, bytes] = {}
+    for name, place in sorted(places.items()):
+        said = folder / place
+        found = [said] if said.is_file() else sorted(folder.rglob(name))
+        if len(found) > 1:
+            raise GripperError(
+                f"gripper {where}: the model's file {place} may be any of "
+                f"{', '.join(str(path.relative_to(folder)) for path in found)}: say which"
+            )
+        if found:
+            contents[name] = found[0].read_bytes()
+    return contents
+
+
+def _gripper(text: str, xml: str, beside: Mapping[str, bytes], *, where: str) -> Gripper:
     """Check a description against its compiled model, and derive what follows from both."""
+    description = tomllib.loads(text)
 
     def fail(what: str) -> GripperError:
         return GripperError(f"gripper {where}: {what}")
@@ -166,6 +243,7 @@ def _gripper(
         )
     return Gripper(
         name=str(description["name"]),
+        description=text,
         xml=xml,
         files=beside,
         joints=(description["joints"][0], description["joints"][1]),
@@ -229,9 +307,11 @@ def gripper_record(gripper: Gripper) -> dict[str, Any]:
 
 
 def _gripper_hash(gripper: Gripper) -> str:
-    """SHA-256 of everything that a gripper's description and model say."""
+    """SHA-256 of everything that a gripper's description and model say, however it is worded."""
     digest = hashlib.sha256()
     for name, value in sorted(vars(gripper).items()):
+        if name == "description":
+            continue
         text = np.asarray(value).tolist() if isinstance(value, np.ndarray) else value
         digest.update(f"{name}={text!r};".encode())
     return digest.hexdigest()

@@ -187,6 +187,8 @@ def test_show_writes_pictures(
         code, _, err = run([*words, *more, "-o", path], capsys)
         assert code == 0, err
         assert path.read_bytes()[:4] == b"\x89PNG"
+    code, _, err = run(["show", root / "out", "--gripper", "franka_hand"], capsys)
+    assert code == 2  # the dataset knows its own
     for more, message in (
         (["--metric", "beauty"], "no metric 'beauty'"),
         (["--grasp", "-1"], "no grasp -1"),

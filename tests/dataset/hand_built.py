@@ -10,11 +10,17 @@ from gmdx.dataset import schema
 from gmdx.dataset.store import DatasetStore
 from gmdx.dataset.write import ObjectWriter
 from gmdx.errors import Failure
-from gmdx.grasps.grasp import PlanarGrasp
+from gmdx.grasps.contact import ClosingContacts
+from gmdx.grasps.grasp import PadContacts, PlanarGrasp
+from gmdx.metrics.compute import MetricTable
 from gmdx.metrics.quality import Evidence, Tally
+from gmdx.metrics.table import METRIC_NAMES, STAGES
 from gmdx.scenes.camera import CameraConfig, render
+from gmdx.scenes.gripper import load_gripper
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.scene import Scene
+from gmdx.trials.outcome import Outcome
+from gmdx.trials.results import TrialResults
 from tests.support import box_object, resting_scene
 
 PHYSICS = PhysicsConfig(patch_radius=0.004)  # not the default, which nobody would have to read
@@ -49,12 +55,65 @@ def columns_of(grasps: PlanarGrasp) -> dict[str, np.ndarray]:
         if str(column.type) == "string":
             made[column.name] = np.array([f"v{v:.0f}" for v in values], dtype=object)
         elif column.name == "outcomes":
-            made[column.name] = np.array([[f"w{v:.0f}", "w"] for v in values], dtype=object)
+            labels = np.array(schema.OUTCOMES, dtype=object)
+            made[column.name] = labels[outcomes_of(grasps)]
         elif str(column.type) == "bool":
             made[column.name] = grasps.grasp_id % 2 == 0
         else:
             made[column.name] = values.astype(column.type.to_pandas_dtype())
     return made
+
+
+def outcomes_of(grasps: PlanarGrasp) -> np.ndarray:
+    """Of two trials of each grasp."""
+    return np.stack([grasps.grasp_id % len(Outcome), (3 * grasps.grasp_id) % len(Outcome)], axis=1)
+
+
+def touched(grasps: PlanarGrasp, slots: int, seed: int) -> PadContacts:
+    """Contacts that depend on the grasp's id alone; some pads touch nothing."""
+    count, one = grasps.grasp_id.max(initial=-1) + 1, (2, slots)
+    valid = np.random.default_rng(seed).random((count, *one))[grasps.grasp_id] < 0.6
+    points = np.random.default_rng(seed).normal(size=(count, *one, 3))[grasps.grasp_id]
+    normals = points / np.linalg.norm(points, axis=3, keepdims=True)
+    keep = valid[..., None]
+    return PadContacts(np.where(keep, points, np.nan), np.where(keep, normals, np.nan), valid)
+
+
+def trials_of(grasps: PlanarGrasp) -> TrialResults:
+    n, outcome = len(grasps), outcomes_of(grasps)
+    return TrialResults(
+        grasp_id=grasps.grasp_id,
+        gripper=load_gripper(),
+        outcome=outcome,
+        collision=np.zeros(outcome.shape, bool),
+        object_position=np.zeros((n, 4, 3)),
+        object_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (n, 4, 1)),
+        tool_position=np.zeros((n, 4, 3)),
+        contacts=touched(grasps, 12, seed=3),
+        opening=np.zeros(n),
+        push_force=np.zeros(n),
+        push_force_is_lower_bound=np.zeros(n, bool),
+        engine="by hand",
+        steps=0,
+        step_seconds=0.0,
+        seconds=0.0,
+    )
+
+
+def table_of(grasps: PlanarGrasp, **changed: np.ndarray) -> MetricTable:
+    """What `columns_of` says as a table, some columns changed."""
+    columns = columns_of(grasps) | changed
+    del columns["outcomes"]
+    return MetricTable(
+        grasp_id=grasps.grasp_id,
+        stages=STAGES,
+        values={name: columns.pop(name) for name in METRIC_NAMES if name in columns},
+        extra=columns,
+        outcomes=outcomes_of(grasps),
+        contacts=ClosingContacts(touched(grasps, 1, seed=1), touched(grasps, 5, seed=2)),
+        cost={},
+        evidence=Evidence(),
+    )
 
 
 def write_object(
@@ -66,13 +125,16 @@ def write_object(
         scene = scene_of(object_id, scene_id)
         images = [render(scene, view=view, config=CAMERA) for view in range(CAMERA.views)]
         every = grasps_of(grasps)
-        parts = (every[i : i + batch] for i in range(0, grasps, batch))
-        writer.write_scene(scene, images, ((part, columns_of(part)) for part in parts))
+        writer.begin_scene(scene, images)
+        for start in range(0, grasps, batch):
+            part = every[start : start + batch]
+            writer.add_grasps(part, trials_of(part), table_of(part))
+        writer.end_scene()
     writer.close(
         failures=[Failure(object_id, scenes, "settle", "SceneError", "it rolled away")],
         evidence=EVIDENCE,
     )
-    writer.write_cost({"wall_seconds": {"settle": 1.0}})
+    writer.write_cost({"wall_seconds": {"settle": 1.0}, "cpu_seconds": {"settle": 1.0}})
 
 
 def write_dataset(root: Path, *object_ids: str) -> None:

@@ -2,9 +2,11 @@
 
 import io
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from rich.console import Console
 
@@ -15,7 +17,16 @@ from gmdx.dataset.write import ObjectWriter
 from gmdx.errors import Failure
 from gmdx.metrics.table import METRIC_NAMES
 from gmdx.scenes.camera import render
-from tests.dataset.hand_built import CAMERA, EVIDENCE, HEADER, columns_of, grasps_of, scene_of
+from gmdx.trials.outcome import Outcome
+from tests.dataset.hand_built import (
+    CAMERA,
+    EVIDENCE,
+    HEADER,
+    grasps_of,
+    scene_of,
+    table_of,
+    trials_of,
+)
 
 INFO = {**HEADER, "gripper": {"name": "tweezers"}, "engine": "by hand"}
 
@@ -25,21 +36,24 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two objects whose outcomes, and whose missing values, are known."""
     root: Path = tmp_path_factory.mktemp("dataset")
     with DatasetStore(root, INFO) as store:
-        for object_id, labels in (
-            ("mug", ["success", "success"]),
-            ("cup", ["success", "no_contact"]),
+        for object_id, ends in (
+            ("mug", [Outcome.SUCCESS, Outcome.SUCCESS]),
+            ("cup", [Outcome.SUCCESS, Outcome.NO_CONTACT]),
         ):
             scene = scene_of(object_id)
             attempt = store.attempt(object_id)
             writer = ObjectWriter(attempt, scene.object)
             grasps = grasps_of(4)
-            columns = columns_of(grasps)
-            columns["outcomes"] = np.array([labels] * 4, dtype=object)
-            columns["sim_success"] = np.array([1.0, 0.0, np.nan, 0.5])
-            columns["force"] = np.array([0.0, 0.0, 7.0, 9.0])
-            columns["g_coll"] = np.array([1.0, 0.0, 0.0, 0.0])
-            images = [render(scene, config=CAMERA)]
-            writer.write_scene(scene, images, [(grasps, columns)])
+            table = table_of(
+                grasps,
+                sim_success=np.array([1.0, 0.0, np.nan, 0.5]),
+                force=np.array([0.0, 0.0, 7.0, 9.0]),
+                g_coll=np.array([1.0, 0.0, 0.0, 0.0]),
+            )
+            table = replace(table, outcomes=np.array([ends] * 4))
+            writer.begin_scene(scene, [render(scene, config=CAMERA)])
+            writer.add_grasps(grasps, trials_of(grasps), table)
+            writer.end_scene()
             writer.close(failures=[], evidence=EVIDENCE)
             writer.write_cost({"cpu_seconds": {"trials": 1.5, "settle": 0.5}})
             store.publish(attempt, object_id)
@@ -76,6 +90,20 @@ def test_tables_show_them(dataset: Dataset) -> None:
         "MeshError: no [closed] surface",
     ):
         assert word in text
+
+
+def test_label_tables_are_listed(dataset: Dataset) -> None:
+    keys = dataset.grasps("mug", columns=("object_id", "scene_id", "grasp_id"))
+    labels = pa.array([True, True, True, False])
+    dataset.write_labels("panel", keys.append_column("label", labels), made_by="three [judges]")
+    (line,) = overview(dataset).labels
+    assert (line.name, line.labelled, line.positive, line.misfit) == ("panel", 4, 3, None)
+    screen = Console(file=io.StringIO(), width=160)
+    for table in tables(overview(dataset)):
+        screen.print(table)
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    words = text[text.index("Label tables") :].splitlines()[4].replace("│", "").split()
+    assert words == ["panel", "4", "50", "%", "75", "%", "three", "[judges]", "yes"]
 
 
 def test_an_empty_dataset_has_an_overview(tmp_path: Path) -> None:

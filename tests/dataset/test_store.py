@@ -1,8 +1,10 @@
 """The dataset's folder: atomic, resumable, and the same bytes for the same content."""
 
 import errno
+import hashlib
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,15 @@ from gmdx.dataset.store import DatasetStore, read_failures
 from gmdx.errors import DatasetError, Failure
 from gmdx.files import formats as files
 from gmdx.files.folder import PARTIAL, OutputError, StorageError
+from gmdx.scenes.camera import render
 from tests.dataset.hand_built import (
+    CAMERA,
+    EVIDENCE,
     HEADER,
-    columns_of,
     grasps_of,
     scene_of,
+    table_of,
+    trials_of,
     write_dataset,
     write_object,
 )
@@ -174,26 +180,73 @@ def test_a_full_disk_is_named_and_leaves_nothing(
     assert json.loads((tmp_path / "dataset.json").read_text())["status"] == "running"
 
 
-def test_a_scene_that_fails_half_way_leaves_no_rows(tmp_path: Path) -> None:
-    scene = scene_of("mug")
+def test_a_scene_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
+    """Dropped at any point, and written anew, it is as if it had never begun."""
+    scene, grasps = scene_of("mug"), grasps_of(5)
+    images = [render(scene, view=view, config=CAMERA) for view in range(CAMERA.views)]
     writer = write.ObjectWriter(tmp_path / "mug", scene.object)
+    writer.drop_scene()
+    for blocks in (0, 1, 2):
+        writer.begin_scene(scene, images)
+        for _ in range(blocks):
+            writer.add_grasps(grasps, trials_of(grasps), table_of(grasps))
+        writer.drop_scene()
+        assert writer.grasps == 0
+        assert not list((tmp_path / "mug").iterdir())
 
-    def batches():  # type: ignore[no-untyped-def]
-        yield grasps_of(5), columns_of(grasps_of(5))
-        raise ValueError("diverged")
 
-    with pytest.raises(ValueError, match="diverged"):
-        writer.write_scene(scene, [], batches())
-    assert writer.grasps == 0
-    assert not list((tmp_path / "mug").iterdir())
+def test_a_dropped_scene_leaves_the_others_as_they_are(tmp_path: Path) -> None:
+    for name, dropped in (("a", False), ("b", True)):
+        first = scene_of("mug")
+        writer = write.ObjectWriter(tmp_path / name, first.object)
+        for scene_id in (0, 1, 2):
+            scene, grasps = scene_of("mug", scene_id), grasps_of(5)
+            if scene_id == 1 and not dropped:
+                continue
+            writer.begin_scene(scene, [render(scene, config=CAMERA)])
+            writer.add_grasps(grasps, trials_of(grasps), table_of(grasps))
+            if scene_id == 1:
+                writer.drop_scene()
+            else:
+                writer.end_scene()
+        assert writer.grasps == 10
+        writer.close(failures=[], evidence=EVIDENCE)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
-def test_columns_must_fit_the_schema(tmp_path: Path) -> None:
+def test_calls_out_of_turn_are_refused(tmp_path: Path) -> None:
+    scene, grasps = scene_of("mug"), grasps_of(2)
+    writer = write.ObjectWriter(tmp_path / "mug", scene.object)
+    for call in (
+        writer.end_scene,
+        lambda: writer.add_grasps(grasps, trials_of(grasps), table_of(grasps)),
+    ):
+        with pytest.raises(DatasetError, match="no scene of 'mug' is open"):
+            call()
+    writer.begin_scene(scene, [render(scene, config=CAMERA)])
+    with pytest.raises(DatasetError, match="scene 0 of 'mug' is still open"):
+        writer.begin_scene(scene, [])
+    without = replace(table_of(grasps), contacts=None)
+    with pytest.raises(DatasetError, match="lack the analytical contacts"):
+        writer.add_grasps(grasps, trials_of(grasps), without)
+
+
+def test_columns_must_fit_the_schema() -> None:
     grasps = grasps_of(2)
-    columns = columns_of(grasps)
-    columns["colour"] = columns.pop("force")
+    table = table_of(grasps)
+    values = dict(table.values)
+    values["colour"] = values.pop("force")
     with pytest.raises(DatasetError, match=r"missing \['force'\], unknown \['colour'\]"):
-        write.rows(scene_of("mug"), grasps, columns)
+        write.grasp_rows(scene_of("mug"), grasps, replace(table, values=values))
+
+
+def test_manifests_name_the_content_of_every_file(tmp_path: Path) -> None:
+    write_object(tmp_path / "mug", "mug")
+    said = json.loads((tmp_path / "mug" / "object.json").read_text())["files"]
+    for path in (tmp_path / "mug").iterdir():
+        if path.name not in ("object.json", "cost.json"):
+            assert said.pop(path.name) == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert said == {}
 
 
 def test_damage_in_failures_is_named_but_a_cut_last_line_is_not_damage(tmp_path: Path) -> None:

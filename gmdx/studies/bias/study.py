@@ -27,7 +27,7 @@ from gmdx.machine.progress import OnProgress
 from gmdx.metrics.compute import MetricConfig
 from gmdx.objects.prepare import content_hash
 from gmdx.rng import generator
-from gmdx.scenes.gripper import Gripper, gripper_record, load_gripper
+from gmdx.scenes.gripper import Gripper
 from gmdx.studies.bias.compare import Comparison, compare, most_disputed
 from gmdx.studies.bias.pairs import write_pairs
 from gmdx.studies.bias.parts import open_study, run_missing
@@ -46,7 +46,6 @@ def bias_study(
     out: str | Path,
     config: BiasConfig | None = None,
     *,
-    gripper: Gripper | None = None,
     on_progress: OnProgress | None = None,
 ) -> BiasStudy:
     """Replay a dataset's grasps in a second engine; with the same arguments, continue.
@@ -55,17 +54,16 @@ def bias_study(
         dataset: What to replay, with its own configuration, scenes, grasps and pose noise.
         out: Folder of the study.
         config: What to do; see `BiasConfig`.
-        gripper: The one that the dataset was made with; by default the shipped one it names.
         on_progress: Called at the start and after each replay of an object.
 
     Raises:
-        UsageError: The second engine is not known or not installed, or the options, the gripper
-            or the folder do not fit the dataset.
+        UsageError: The second engine is not known or not installed, or the options or the folder
+            do not fit the dataset.
         DatasetError: The dataset or a part is damaged, or the disk refused a write.
     """
     config = BiasConfig() if config is None else config
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(dataset)
-    gripper = _its_gripper(dataset, gripper)
+    gripper = dataset.gripper()
     config = replace(config, engine=choose_engine(config.engine))
     runs = runs_of(dataset, config.engine, noise_floor=config.noise_floor)
     for engine in {run.engine for run in runs}:
@@ -79,7 +77,7 @@ def bias_study(
         "engine": config.engine,
         "reference": dataset.info["engine"],
         "seed": config.seed,
-        "gripper": gripper_record(gripper)["sha256"],
+        "gripper": dataset.info["gripper"]["sha256"],
         "grasps": dict(zip(choice.objects, choice.rows, strict=True)),
     }
     with open_study(Path(out), header, metric) as folder:
@@ -180,18 +178,6 @@ def choose(dataset: Dataset, config: BiasConfig) -> Choice:
         order = generator(config.seed, "bias", "grasps", object_id).permutation(count)
         rows.append(tuple(sorted(int(row) for row in order[: config.grasps])))
     return Choice(chosen, tuple(rows))
-
-
-def _its_gripper(dataset: Dataset, gripper: Gripper | None) -> Gripper:
-    """The gripper that the dataset was made with."""
-    wanted = dataset.info["gripper"]
-    gripper = load_gripper(str(wanted["name"])) if gripper is None else gripper
-    if gripper_record(gripper) != wanted:
-        raise UsageError(
-            f"the dataset was made with the gripper {wanted['name']!r} and not with this "
-            f"{gripper.name!r}: pass its description as --gripper FILE"
-        )
-    return gripper
 
 
 def _told_apart(run: Run, runs: tuple[Run, ...]) -> str:

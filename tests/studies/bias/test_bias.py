@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,11 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from gmdx.dataset.read import Dataset, read_dataset
-from gmdx.errors import ConfigError, UsageError
+from gmdx.errors import ConfigError, DatasetError, UsageError
 from gmdx.metrics.table import COMPARED
 from gmdx.objects.decompose.decomposition import DecomposeConfig
 from gmdx.pipeline.generate import generate
-from gmdx.scenes.gripper import load_gripper
+from gmdx.scenes.gripper import load_gripper, save_gripper
 from gmdx.studies.bias.figures import bias_figures
 from gmdx.studies.bias.replay import other_hulls, runs_of
 from gmdx.studies.bias.result import BiasConfig, BiasStudy
@@ -228,8 +229,6 @@ def test_wrong_usage_is_refused(dataset: Dataset, tmp_path: Path) -> None:
         bias_study(dataset, tmp_path / "a", replace(NULL, engine="ode"))
     with pytest.raises(ConfigError, match="grasps must be at least 1"):
         BiasConfig(grasps=0)
-    with pytest.raises(UsageError, match="made with the gripper 'parallel_jaw'"):
-        bias_study(dataset, tmp_path / "a", NULL, gripper=load_gripper("franka_hand"))
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "mine.txt").write_text("")
     with pytest.raises(UsageError, match=r"not empty and no bias study.*mine\.txt"):
@@ -237,6 +236,29 @@ def test_wrong_usage_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     bias_study(dataset, tmp_path / "c", replace(NULL, grasps=1, objects=1))
     with pytest.raises(UsageError, match="study made otherwise"):
         bias_study(dataset, tmp_path / "c", replace(NULL, grasps=2, objects=1))
+
+
+def test_the_dataset_s_own_gripper_is_used_and_checked(dataset: Dataset, tmp_path: Path) -> None:
+    """A gripper that is nowhere else but in the dataset; and one that is not what was used."""
+    copy = tmp_path / "dataset"
+    shutil.copytree(dataset.root, copy)
+    model = copy / "gripper" / "parallel_jaw.xml"
+    model.write_text(model.read_text().replace("<mujoco", "<!-- changed --><mujoco", 1))
+    with pytest.raises(DatasetError, match=r"does not hold the gripper 'parallel_jaw' that"):
+        bias_study(copy, tmp_path / "a", NULL)
+    assert not (tmp_path / "a").exists()
+    own = tmp_path / "own"
+    save_gripper(load_gripper("franka_hand"), own / "mine.toml")
+    text = (own / "mine.toml").read_text().replace('"franka_hand"', '"mine"', 1)
+    (own / "mine.toml").write_text(text)
+    meshes = write_meshes(tmp_path / "meshes", count=1)
+    config = small_config(tmp_path / "cache", gripper=str(own / "mine.toml"), grasps=2, scenes=1)
+    generate(meshes, tmp_path / "mine", config)
+    shutil.rmtree(own)
+    study = bias_study(tmp_path / "mine", tmp_path / "b", replace(NULL, grasps=None))
+    assert study.gripper.name == "mine"
+    assert study.engines.grasps == 2
+    assert not study.failures
 
 
 def test_without_pybullet_one_line_says_what_to_install(dataset: Dataset, tmp_path: Path) -> None:
