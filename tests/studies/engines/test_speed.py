@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-import gmdx.trials.engines.warp
+import gmdx.trials.engines
 from gmdx.cli.bench.trials import show_speed
 from gmdx.cli.main import main
 from gmdx.errors import GraspError, UsageError
@@ -237,11 +237,9 @@ def test_figures_of_any_size_fit_the_table(
 def test_a_missing_extra_is_said_in_one_line_before_anything_runs(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [
-        name for name in sys.modules if name.startswith("gmdx.trials.engines.warp.worlds")
-    ]:
+    for name in [name for name in sys.modules if name.startswith("gmdx.trials.engines.warp")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(gmdx.trials.engines.warp, "worlds", raising=False)
+    monkeypatch.delattr(gmdx.trials.engines, "warp", raising=False)
     monkeypatch.setitem(sys.modules, "warp", None)
     assert main(["bench", command, "bundled:cup", "--engine", "mujoco,warp"]) == 2
     out, err = capsys.readouterr()
