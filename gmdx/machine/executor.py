@@ -51,7 +51,10 @@ class Executor(Protocol):
 
     @property
     def places(self) -> int:
-        """How many attempts it runs side by side; nobody gives more at once."""
+        """How many attempts it takes on at once, at least 1; nobody gives it more.
+
+        It may change while a run goes on.
+        """
         ...
 
     def give(self, function: Callable[[TaskT], ResultT], task: TaskT) -> int:

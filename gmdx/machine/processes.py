@@ -9,6 +9,7 @@ import os
 import pickle
 import signal
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from multiprocessing import connection, resource_tracker
 from typing import Any, TypeVar
@@ -35,6 +36,8 @@ class ProcessExecutor:
         self._inbox = inbox
         self._workers: set[_Worker] = set()
         self._idle: list[_Worker] = []
+        # Python waits for its processes before it ends: those of an executor left open go first.
+        weakref.finalize(self, _end_all, self._workers)
 
     def give(self, function: Callable[[TaskT], ResultT], task: TaskT) -> int:
         """Send the task to a worker that is free, or to a new one."""
@@ -85,6 +88,11 @@ class ProcessExecutor:
                 self._idle.remove(worker)  # nobody has lost anything
             else:
                 self._inbox.put(Finished(worker.task, worker.attempt, _crash(code)))
+
+
+def _end_all(workers: "set[_Worker]") -> None:
+    while workers:
+        workers.pop().end()
 
 
 def _crash(exit_code: int) -> Crash:

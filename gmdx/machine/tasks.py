@@ -61,7 +61,7 @@ def run_tasks(
     inbox, queue, under_way = Inbox(), iter(tasks), 0
     with contextlib.closing(open_executor(inbox, workers=workers, name=executor)) as running:
         while True:
-            for task in islice(queue, running.places - under_way):
+            for task in islice(queue, max(running.places - under_way, 0)):
                 running.give(function, task)
                 under_way += 1
             if under_way == 0:

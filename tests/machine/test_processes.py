@@ -152,6 +152,16 @@ def alive(pid: int) -> bool:
         return False
 
 
+def test_a_run_that_nobody_closed_does_not_keep_python_from_ending(tmp_path: Path) -> None:
+    (tmp_path / "left.py").write_text(
+        "from gmdx.machine.tasks import run_tasks\n"
+        "if __name__ == '__main__':\n"
+        "    running = run_tasks(abs, [-1, -2, -3], workers=2)\n"
+        "    assert next(running).result in (1, 2)\n"
+    )
+    subprocess.run([sys.executable, "left.py"], cwd=tmp_path, check=True, timeout=60)
+
+
 def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(
         "import math\nfrom gmdx.machine.tasks import run_tasks\n"
