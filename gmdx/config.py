@@ -267,7 +267,7 @@ def _write_line(container: Any, name: str, value: Any, meaning: str) -> None:
     plain = _CONVERTER.unstructure(value)
     if isinstance(plain, list | tuple):
         item: Any = tomlkit.array()
-        item.extend(plain)
+        item.extend(_inline(one) if isinstance(one, dict) else one for one in plain)
     else:
         item = tomlkit.item(
             "" if plain is None else str(plain) if isinstance(plain, Path) else plain
@@ -283,6 +283,13 @@ def _write_line(container: Any, name: str, value: Any, meaning: str) -> None:
         item.comment(meaning)
         item.trivia.comment_ws = "  "
     container.add(name, item)
+
+
+def _inline(values: Mapping[str, Any]) -> Any:
+    """A table within a line."""
+    table = tomlkit.inline_table()
+    table.update(values)
+    return table
 
 
 _CONVERTER = _converter()

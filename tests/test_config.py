@@ -85,6 +85,7 @@ def test_comments_say_what_fields_mean() -> None:
     assert "# folder =  # optional" in lines
     assert 'speed = 0.5  # m/s, "fast"' in lines
     assert "steps = 3  # Steps of the thing, written below." in lines
+    assert 'points = [{at = 0.1, of = "a"}]' in lines
     assert "tiny = 1e-12  # written within" in as_toml(Choices()).splitlines()
 
 
