@@ -30,7 +30,7 @@ class CameraConfig:
     height: int = 480  # pixels
     field_of_view: float = 0.6109  # rad, vertical (35 degrees)
     distance: float = 0.5  # m, of the camera from the world's origin
-    views: int = 1
+    views: int = 1  # images of a scene
     tilt: float = 0.35  # rad, of views 1, 2, ... from the vertical
 
     def __post_init__(self) -> None:

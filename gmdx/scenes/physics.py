@@ -22,8 +22,8 @@ class PhysicsConfig:
     patch_radius: float = 0.005  # m, of a soft finger's contact patch, which resists torsion
     solref: tuple[float, float] = (0.01, 1.0)  # s, damping ratio, of contacts
     solimp: tuple[float, float, float] = (0.99, 0.999, 0.001)  # of contacts: 0.1 mm deep at 20 N
-    iterations: int = 50
-    ls_iterations: int = 30
+    iterations: int = 50  # of the contact solver, at most
+    ls_iterations: int = 30  # of its line search, at most
     tolerance: float = (
         1e-12  # MuJoCo's own 1e-8 lets a light box slide on a slope it should stick to
     )

@@ -241,6 +241,22 @@ def test_help_states_the_defaults_and_the_comments_of_the_class(
     assert len(lines) < 50
 
 
+def settings_of(cls: type) -> Iterator[tuple[type, dataclasses.Field[Any]]]:
+    """The fields of a configuration and of those within it that are no configurations."""
+    for field in dataclasses.fields(cls):
+        value = getattr(cls(), field.name)
+        if dataclasses.is_dataclass(value) and field.default is dataclasses.MISSING:
+            yield from settings_of(type(value))
+        else:
+            yield cls, field
+
+
+@pytest.mark.parametrize("cls", CONFIGURATIONS.values(), ids=lambda cls: cls.__name__)
+def test_every_setting_says_what_it_means(cls: type) -> None:
+    silent = [f"{c.__name__}.{f.name}" for c, f in settings_of(cls) if f.name not in comments(c)]
+    assert silent == []
+
+
 def test_the_whole_help_has_every_flag(capsys: pytest.CaptureFixture[str]) -> None:
     _, words = help_of("generate", "--help-all", capsys=capsys)
     for path, _ in leaves(GenerateConfig()):

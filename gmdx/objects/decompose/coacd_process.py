@@ -32,11 +32,11 @@ class CoacdFailure(Exception):  # noqa: N818 - the outcome of an attempt, handle
 class CoacdConfig:
     """How hard CoACD searches. Its own search is coarse here: merging repairs most of it."""
 
-    seed: int = 0
+    seed: int = 0  # of its search
     resolution: int = 1000  # samples of its Hausdorff distance
-    mcts_nodes: int = 10
-    mcts_iterations: int = 15
-    mcts_max_depth: int = 2
+    mcts_nodes: int = 10  # cutting planes tried in each direction of its tree search
+    mcts_iterations: int = 15  # of its tree search, for each cut
+    mcts_max_depth: int = 2  # cuts that its tree search looks ahead
     wall_factor: float = 10.0  # wall clock limit / CPU limit, for a busy machine
 
 

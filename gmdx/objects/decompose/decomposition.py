@@ -49,13 +49,16 @@ class DecomposeConfig:
 
     fidelity: FidelityConfig = field(default_factory=FidelityConfig)
     coacd: CoacdConfig = field(default_factory=CoacdConfig)
-    attempts: tuple[Attempt, ...] = (Attempt(1.5e-3, 25.0), Attempt(1.0e-3, 25.0))
+    attempts: tuple[Attempt, ...] = (  # in turn, until one is close enough
+        Attempt(1.5e-3, 25.0),
+        Attempt(1.0e-3, 25.0),
+    )
     rescue: Attempt = Attempt(4e-3, 15.0)  # coarser, where an attempt failed
     simple_parts: int = 10  # where CoACD finds at most so many, it searches again with care
     careful: CoacdConfig = field(
         default_factory=lambda: CoacdConfig(mcts_nodes=20, mcts_iterations=60, mcts_max_depth=3)
     )
-    max_hulls: int = 96
+    max_hulls: int = 96  # of an object, at most
     max_vertices: int = 128  # of one hull
     vertex_tolerance: float = 2e-4  # m, by which a vertex left out of a hull may stick out
     overlap: float = 2e-5  # m, growth of each of several hulls, so that no slit is left between
