@@ -132,15 +132,15 @@ def compute_metrics(
         scene: The object at rest, under the physics that contacts have.
         grasps: n grasps of that scene.
         trials: Their trials; without them there are the stages before trials only.
-        stages: Of `STAGES`; what they rest on is computed with them. By default all that there is
-            input for.
+        stages: Of object, grasp, contact, epsilon, trial and trial_epsilon; what they rest on is
+            computed with them. By default all that there is input for.
         known: A table of these grasps: its stages are taken over, and not computed again.
         gripper: What grasps, where no trials say so; the default one if not given.
         config: Tolerances, lines.
 
     Raises:
-        MetricError: A stage is unknown, or needs trials and there are none; or the trials, or what
-            is known, are not of these grasps.
+        MetricError: A stage is unknown, or needs trials and there are none; nothing is asked for
+            and nothing known; or the trials, or what is known, are not of these grasps.
     """
     done = () if known is None else known.stages
     todo = _todo(stages, done, trials)
@@ -156,6 +156,7 @@ def compute_metrics(
     extra: dict[str, Array] = {}
     kernels: dict[str, str] = {}
     analytical = None if known is None else known.contacts
+    outcomes = None if known is None else known.outcomes
 
     if "object" in todo:
         with clock.stage("object"):
@@ -173,6 +174,8 @@ def compute_metrics(
     if analytical is not None and "epsilon" in todo:
         sets["g_quality"] = PadSet(analytical.center, quality.rtol_pair)
         sets["real_d_quality"] = PadSet(analytical.pads, quality.rtol_patch)
+    if trials is not None:
+        outcomes = trials.outcome
     if trials is not None and analytical is not None and "trial" in todo:
         with clock.stage("trial"):
             simulative = contact_pair(trials.contacts)
@@ -207,7 +210,7 @@ def compute_metrics(
         stages=tuple(stage for stage in STAGES if stage in (*done, *todo)),
         values={name: values[name] for name in METRIC_NAMES if name in values},
         extra=extra,
-        outcomes=None if trials is None else trials.outcome,
+        outcomes=outcomes,
         contacts=analytical,
         cost=cost,
         evidence=(Evidence() if known is None else known.evidence) + Evidence(kernels, tallies),
@@ -220,8 +223,10 @@ def _todo(
     """The stages to compute: those asked for with what they rest on, less what is known.
 
     Raises:
-        MetricError: One is unknown, or needs trials.
+        MetricError: One is unknown, or needs trials; or there is none, and none is known.
     """
+    if isinstance(stages, str):
+        raise MetricError(f"stages are a list of names, as [{stages!r}], and not one text")
     possible = [name for name in STAGES if trials is not None or name not in TRIAL_STAGES]
     unknown = [name for name in (() if stages is None else stages) if name not in STAGES]
     if unknown:
@@ -236,6 +241,8 @@ def _todo(
     missing = [name for name in STAGES if name in todo and name not in possible]
     if missing:
         raise MetricError(f"the stage {missing[0]!r} needs trials: pass those of these grasps")
+    if not todo and not done:
+        raise MetricError(f"no stage is asked for: name some of {', '.join(STAGES)}")
     return todo
 
 

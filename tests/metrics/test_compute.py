@@ -453,6 +453,23 @@ def test_stages_that_cannot_be_computed_are_refused() -> None:
         compute_metrics(scene, grasps, stages=("trial_epsilon",))
     with pytest.raises(MetricError, match=r"no stage 'quality': there are object, grasp"):
         compute_metrics(scene, grasps, stages=("quality",))
+    with pytest.raises(MetricError, match=r"a list of names, as \['epsilon'\]"):
+        compute_metrics(scene, grasps, stages="epsilon")
+    with pytest.raises(MetricError, match=r"no stage is asked for: name some of object, grasp"):
+        compute_metrics(scene, grasps, stages=())
+    known = compute_metrics(scene, grasps, stages=("object",))
+    assert compute_metrics(scene, grasps, stages=(), known=known).stages == ("object",)
+
+
+def test_what_is_known_keeps_its_outcomes_without_the_trials() -> None:
+    scene = resting_scene(box_object(EXTENTS))
+    grasps = _grasps(scene, np.zeros((1, 3)), np.zeros(1), 0.0)
+    known = compute_metrics(scene, grasps, _still_trials(scene, grasps))
+    again = compute_metrics(scene, grasps, known=known)
+    assert again.stages == known.stages
+    assert known.outcomes is not None
+    assert again.outcomes is not None
+    np.testing.assert_array_equal(again.outcomes, known.outcomes)
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:
