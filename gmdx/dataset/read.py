@@ -1,7 +1,7 @@
 """Reading a dataset: nothing is loaded before it is asked for."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ class Dataset:
     """A dataset on disk. Objects are named by id; everything is read when asked for."""
 
     root: Path
-    info: Mapping[str, Any]  # dataset.json
+    info: Mapping[str, Any] = field(repr=False)  # dataset.json
 
     @property
     def objects(self) -> tuple[str, ...]:

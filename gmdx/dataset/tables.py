@@ -50,6 +50,8 @@ def chosen(full: pa.Schema, columns: Sequence[str] | None) -> pa.Schema:
     """
     if columns is None:
         return full
+    if isinstance(columns, str):
+        raise NotFoundError(f"columns are a list of names, as [{columns!r}], and not one text")
     unknown = sorted(set(columns) - set(full.names))
     if unknown:
         raise NotFoundError(f"no column {unknown[0]!r}; the columns are: {', '.join(full.names)}")
@@ -80,5 +82,7 @@ def read_rows(
             filters=filters if filters else None,
             partitioning=None,
         )
+    except FileNotFoundError as error:  # its text is the path and nothing else
+        raise DatasetError(f"cannot read {path}: no such file; the dataset is damaged") from error
     except (OSError, pa.ArrowInvalid) as error:
         raise DatasetError(f"cannot read {path}: {error}; the dataset is damaged") from error

@@ -116,6 +116,8 @@ def test_unknown_scenes_and_columns_are_errors(dataset: Dataset) -> None:
         dataset.grasps("mug", 7)
     with pytest.raises(DatasetError, match="no column 'colour'"):
         dataset.grasps(columns=["colour"])
+    with pytest.raises(DatasetError, match=r"a list of names, as \['force'\]"):
+        dataset.grasps(columns="force")
 
 
 def test_not_a_dataset(tmp_path: Path) -> None:
