@@ -2,7 +2,6 @@
 
 import glob
 import hashlib
-import logging
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,15 +10,12 @@ from gmdx.errors import CatalogError
 from gmdx.objects.repair import FORMATS
 from gmdx.objects.sources.source import ObjectSource
 
-_log = logging.getLogger("gmdx")
-
 
 def file_source(path: Path, *, scale: float = 1.0) -> ObjectSource:
     """The source for one mesh file that need not exist; reading it tells."""
     try:
         digest = hashlib.sha256(path.read_bytes())
-    except OSError as error:
-        _log.warning("%s: %s", path, error.strerror)
+    except OSError:
         digest = hashlib.sha256(str(path).encode())
     if scale != 1.0:
         digest.update(repr(scale).encode())

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from gmdx.errors import CatalogError
+import gmdx
+from gmdx.errors import CatalogError, MeshError
 from gmdx.objects.sources import resolve
 from gmdx.objects.sources.bundled import bundled_names
 
@@ -154,3 +155,11 @@ def test_pybullets_meshes_come_with_their_scale(
     assert first.path.is_file()
     with pytest.raises(CatalogError, match="such objects"):
         resolve(["pybullet:random_urdfs:1001"])
+
+
+def test_a_missing_file_is_told_by_reading_it_and_not_twice(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(MeshError, match=r"nothing\.obj"):
+        gmdx.load_object(tmp_path / "nothing.obj", cache=None)
+    assert not caplog.records
