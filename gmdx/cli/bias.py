@@ -36,8 +36,11 @@ class Bias:
         with following("grasps", things="replays") as show:
             study = bias_study(self.dataset, self.out, self.settings, on_progress=show)
         table = Table(*summary_head(study), title=f"{study.engines.grasps} grasps in both engines")
-        for row in summary(study):
+        rows = list(summary(study))
+        for row in rows:
             table.add_row(*row)
+        if any(cell.endswith("*") for row in rows for cell in row):
+            table.caption = "* Student's t: too few objects differ to resample"
         console().print(table)
         failed = f"; {len(study.failures)} replays failed" if study.failures else ""
         say(f"{study.root}: pairs.parquet, bias.json and report.html{failed}")

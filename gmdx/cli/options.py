@@ -40,7 +40,7 @@ CountOrAll = Annotated[
     int | None,
     PrimitiveConstructorSpec(
         nargs=1,
-        metavar="INT",
+        metavar="{None}|INT",
         instance_from_str=lambda words: None if words[0] in ("0", "None") else int(words[0]),
         is_instance=lambda value: value is None or isinstance(value, int),
         str_from_instance=lambda value: [str(value)],
