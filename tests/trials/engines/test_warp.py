@@ -29,8 +29,8 @@ from gmdx.scenes.layout import GraspModel
 from gmdx.scenes.physics import PhysicsConfig
 from gmdx.scenes.settle import settle
 from gmdx.trials import observations
+from gmdx.trials.engines import open_engine
 from gmdx.trials.engines.mujoco import MujocoEngine, _Stepper
-from gmdx.trials.engines.parallel import ParallelEngine
 from gmdx.trials.engines.warp import kernels
 from gmdx.trials.engines.warp.device import device_memory
 from gmdx.trials.engines.warp.edges import EdgeContacts
@@ -525,7 +525,7 @@ def test_a_squeezed_box_gives_way_at_twice_the_friction_limit(friction: float) -
     )
     batch = place(scene, middle, trials=1, gripper=gripper, config=CONFIG)
     limit = 2 * friction * gripper.force - 0.1 * 9.81
-    found = ParallelEngine("warp").run([batch], config=CONFIG)[0]
+    found = open_engine("warp").run([batch], config=CONFIG)[0]
     assert found.push_force[0] == pytest.approx(limit, rel=0.05)
     reference = MujocoEngine().run([batch], config=CONFIG)[0]
     assert found.push_force[0] == pytest.approx(reference.push_force[0], rel=0.02)
