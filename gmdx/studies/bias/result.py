@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from gmdx.scenes.gripper import Gripper
 from gmdx.studies.bias.compare import Comparison
 from gmdx.studies.bias.replay import Run, RunRows
 from gmdx.studies.engines import TruthRow
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
